@@ -1,0 +1,19 @@
+"""The element's mini example: one body on springs along its axes, pushed along y."""
+
+import rbsd_sym as rs
+
+T_END = 1.0
+COLUMNS = ("body.position", "spring.force_local")
+
+
+def scene() -> rs.Scene:
+    """1 kg on three springs of 500 N/m, a damper of 5 N s/m along y, start at 1000 m/s."""
+    body = rs.RigidBody("body", mass=1, inertia=(1, 1, 1), velocity=(0, 1000, 0))
+    spring = rs.RigidBodySpringDamper(
+        "spring",
+        rs.Marker(rs.GROUND),
+        rs.Marker("body"),
+        stiffness=(500, 500, 500, 0, 0, 0),
+        damping=(0, 5, 0, 0, 0, 0),
+    )
+    return rs.Scene("mini", [body], [spring])

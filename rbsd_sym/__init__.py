@@ -1,0 +1,51 @@
+"""Scenes of rigid bodies and 6-DOF spring-dampers as exact symbolic models.
+
+The file to read first is `pipeline.py`.
+"""
+
+from . import plots
+from .exports import Artefact, CompilerMissing, Library, export_c, load_c
+from .formulations import ModelWarning, Quaternion, TaitBryan
+from .integrators import ExplicitRK, Idas, Rosenbrock
+from .laws import Consistent, Intrinsic, Standard
+from .model import Model
+from .pipeline import IntegrationError, compile_scene, simulate
+from .scene import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper, Scene
+from .symbols import TIME, Input, Param, where
+from .trajectory import Outcome, Trajectory
+from .version import VERSION as __version__
+
+__all__ = [
+    "GROUND",
+    "TIME",
+    "Artefact",
+    "CompilerMissing",
+    "Consistent",
+    "ExplicitRK",
+    "Idas",
+    "Input",
+    "IntegrationError",
+    "Intrinsic",
+    "Library",
+    "Load",
+    "Marker",
+    "Model",
+    "ModelWarning",
+    "Outcome",
+    "Param",
+    "Quaternion",
+    "RigidBody",
+    "RigidBodySpringDamper",
+    "Rosenbrock",
+    "Scene",
+    "Standard",
+    "TaitBryan",
+    "Trajectory",
+    "__version__",
+    "compile_scene",
+    "export_c",
+    "load_c",
+    "plots",
+    "simulate",
+    "where",
+]

@@ -1,0 +1,189 @@
+"""The command line: python -m rbsd_sym info|run|export MODEL."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+from . import plots
+from .exports import export_c
+from .formulations import ModelWarning, Quaternion, TaitBryan
+from .integrators import ExplicitRK, Idas, Rosenbrock
+from .model import Model
+from .pipeline import IntegrationError, compile_scene, simulate
+from .trajectory import Trajectory
+
+_EPILOG = """
+MODEL is a Python file that defines scene(); it may define T_END (s), COLUMNS (names to plot) and
+INPUTS (name: number, function of t, or samples), which `run` uses.
+
+examples:
+  python -m rbsd_sym info models/mini.py                    states, cost, notes
+  python -m rbsd_sym run models/engine_mounts.py            integrate, plot, save
+  python -m rbsd_sym run models/mini.py --t-end 2 --columns body.position spring.force_local
+  python -m rbsd_sym export models/engine_mounts.py         C code with header and model card
+"""
+_INTEGRATORS = {"idas": Idas, "rosenbrock": Rosenbrock, "explicit": ExplicitRK}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; the exit code is 0, or 1 after an error message in one line."""
+    options = _parser().parse_args(arguments)
+    commands: dict[str, Callable[[argparse.Namespace], None]] = {
+        "info": _info,
+        "run": _run,
+        "export": _export,
+    }
+    try:
+        commands[options.command](options)
+    except (ValueError, TypeError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except IntegrationError as error:
+        _finish(options, error.trajectory, None)
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m rbsd_sym",
+        description="Scenes of rigid bodies and 6-DOF spring-dampers: model, simulation, C code.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="info|run|export")
+    for name, text in (
+        ("info", "print the model: states, start values, cost, notes"),
+        ("run", "integrate, and write generated/<name>/<name>.npz and .png"),
+        ("export", "write C code to generated/<name>/"),
+    ):
+        command = commands.add_parser(name, help=text, description=text)
+        command.add_argument("model", type=Path, help="Python file that defines scene()")
+        command.add_argument(
+            "--tait-bryan", action="store_true", help="Tait-Bryan xyz angles, not quaternions"
+        )
+        command.add_argument(
+            "--folder", type=Path, default=Path("generated"), help="parent of the output folder"
+        )
+        if name == "run":
+            _run_options(command)
+    return parser
+
+
+def _run_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--t-end", type=float, help="end in s (default: T_END of the file, or 1)")
+    command.add_argument("--integrator", choices=sorted(_INTEGRATORS), default="idas")
+    command.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance")
+    command.add_argument("--atol", type=float, default=1e-10, help="absolute tolerance")
+    command.add_argument("--columns", nargs="+", help="columns to plot (default: COLUMNS)")
+    command.add_argument(
+        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameter values"
+    )
+
+
+def _info(options: argparse.Namespace) -> None:
+    _, model = _compile(options)
+    print(model)
+
+
+def _run(options: argparse.Namespace) -> None:
+    file, model = _compile(options)
+    t_end = options.t_end if options.t_end is not None else getattr(file, "T_END", 1.0)
+    integrator = _INTEGRATORS[options.integrator](rtol=options.rtol, atol=options.atol)
+    with _progress(f"simulating {model.name} to t = {t_end:g} s with {type(integrator).__name__}"):
+        trajectory = simulate(
+            model,
+            t_end,
+            integrator,
+            inputs=getattr(file, "INPUTS", {}),
+            params=_settings(options.set),
+        )
+    _finish(options, trajectory, getattr(file, "COLUMNS", None))
+
+
+def _finish(options: argparse.Namespace, trajectory: Trajectory, columns: object) -> None:
+    """Save and draw what there is, also after a failure; print the end and the statistics."""
+    folder = options.folder / trajectory.name
+    folder.mkdir(parents=True, exist_ok=True)
+    chosen = options.columns or columns or list(trajectory.states[:3])
+    if len(trajectory.t) > 1:
+        figure = plots.trajectory(trajectory, list(chosen))  # type: ignore[call-overload]
+        figure.savefig(folder / f"{trajectory.name}.png", dpi=120)
+        print(f"wrote {folder / trajectory.name}.png")
+    print(f"wrote {trajectory.save(folder / f'{trajectory.name}.npz')}")
+    counts = ", ".join(f"{key} {value:.6g}" for key, value in trajectory.stats.items())
+    print(f"{trajectory}\n{counts}")
+
+
+def _export(options: argparse.Namespace) -> None:
+    _, model = _compile(options)
+    with _progress(f"writing C of {model.name}"):
+        artefact = export_c(model, options.folder / model.name)
+    print(f"wrote {artefact.folder} with {', '.join(artefact.functions)}")
+
+
+def _settings(pairs: list[str]) -> dict[str, float]:
+    settings = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        try:
+            settings[name] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise ValueError(f"--set {pair}: write NAME=VALUE, such as --set stiffness=500")
+    return settings
+
+
+def _compile(options: argparse.Namespace) -> tuple[ModuleType, Model]:
+    file = load_model_file(options.model)
+    formulation = TaitBryan() if options.tait_bryan else Quaternion()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ModelWarning)
+        with _progress(f"compiling {options.model}"):
+            model = compile_scene(file.scene(), formulation)
+    for warning in caught:
+        print(f"warning: {warning.message}", file=sys.stderr)
+    return file, model
+
+
+def load_model_file(path: Path) -> ModuleType:
+    """Import a model file by its path.
+
+    Raises:
+        ValueError: no such file, or no scene() in it.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file; give a Python file that defines scene()")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ValueError(f"{path}: not a Python file; give one that defines scene()")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not callable(getattr(module, "scene", None)):
+        raise ValueError(f"{path}: defines no scene(); write a function that returns a Scene")
+    return module
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[None]:
+    """One line on stderr that tells what runs, and how long it took when it is done."""
+    started = time.perf_counter()
+    print(f"{what} ...", end="", file=sys.stderr, flush=True)
+    try:
+        yield
+    finally:
+        print(f" {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

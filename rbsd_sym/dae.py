@@ -1,0 +1,215 @@
+"""The waist: a semi-explicit DAE  x' = ode(t, x, z, u, p),  0 = alg,  y = out.
+
+Nothing below knows what a body is, nothing above knows what C is. A `Dae` keeps its parts: each is
+one kernel with the states it reads and the rows it adds to. The flat expressions come from calling
+the parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Label:
+    """Name, unit and start (or default) value of one entry of x, z, u, p or y."""
+
+    name: str
+    unit: str
+    start: float = 0.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """One kernel instance: rows[i] += kernel(t, x[reads], z[reads_z], constants)[i].
+
+    Arguments:
+        kernel: Function (t, x, z, c) -> (ode rows, alg rows), shared by all instances of a kind.
+        constants: column over (t, u, p); plain numbers fold into the code.
+    """
+
+    name: str
+    kernel: ca.Function
+    reads: tuple[int, ...]
+    reads_z: tuple[int, ...]
+    constants: ca.SX
+    ode_rows: tuple[int, ...]
+    alg_rows: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Output:
+    """A named quantity: value = kernel(t, x[reads], z[reads_z], constants), built on demand.
+
+    `build` gives the kernel, which all instances of a kind share, and the constants.
+    """
+
+    name: str
+    unit: str
+    components: tuple[str, ...]
+    shape: tuple[int, ...]
+    build: Callable[[], tuple[ca.Function, ca.SX]]
+    reads: tuple[int, ...]
+    reads_z: tuple[int, ...] = ()
+
+    @property
+    def labels(self) -> tuple[Label, ...]:
+        """A label for each component: `arm.position_x`, or the bare name of a scalar."""
+        if self.components == ("",):
+            return (Label(self.name, self.unit),)
+        return tuple(Label(f"{self.name}_{part}", self.unit) for part in self.components)
+
+
+@dataclass(frozen=True)
+class Dae:
+    """Symbols, parts, names, units and start values.
+
+    Arguments:
+        t, x, z, u, p: SX columns.
+        x_start, z_start: SX columns over p.
+        outputs: every quantity that can be asked for, by name.
+        requested: names of the outputs in y, in order.
+        notes: what the user should know (audit of the scene, what was left out).
+        source: text that determines the model, for its digest.
+    """
+
+    name: str
+    t: ca.SX
+    x: ca.SX
+    z: ca.SX
+    u: ca.SX
+    p: ca.SX
+    x_labels: tuple[Label, ...]
+    z_labels: tuple[Label, ...]
+    u_labels: tuple[Label, ...]
+    p_labels: tuple[Label, ...]
+    x_start: ca.SX
+    z_start: ca.SX
+    parts: tuple[Part, ...]
+    outputs: Mapping[str, Output]
+    requested: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    source: str = field(default="", repr=False)
+
+    @cached_property
+    def _rows(self) -> tuple[ca.SX, ca.SX]:
+        ode, alg = [ca.SX(0)] * self.x.numel(), [ca.SX(0)] * self.z.numel()
+        for part in self.parts:
+            d_ode, d_alg = part.kernel(
+                self.t, self._pick(self.x, part.reads), self._pick(self.z, part.reads_z),
+                part.constants,
+            )  # fmt: skip
+            for i, row in enumerate(part.ode_rows):
+                ode[row] = ode[row] + d_ode[i]
+            for i, row in enumerate(part.alg_rows):
+                alg[row] = alg[row] + d_alg[i]
+        rows = ca.cse(ca.vertcat(ca.SX(0, 1), *ode, *alg))
+        return rows[: len(ode)], rows[len(ode) :]
+
+    @staticmethod
+    def _pick(column: ca.SX, index: tuple[int, ...]) -> ca.SX:
+        return column[list(index)] if index else ca.SX(0, 1)
+
+    @property
+    def ode(self) -> ca.SX:
+        """Rates of the states, flat (n_x, 1)."""
+        return self._rows[0]
+
+    @property
+    def alg(self) -> ca.SX:
+        """Algebraic residuals, flat (n_z, 1)."""
+        return self._rows[1]
+
+    @cached_property
+    def out(self) -> ca.SX:
+        """The requested outputs, stacked."""
+        return ca.cse(ca.vertcat(ca.SX(0, 1), *(self.output(name) for name in self.requested)))
+
+    @property
+    def out_labels(self) -> tuple[Label, ...]:
+        """A label for each row of `out`."""
+        return tuple(label for name in self.requested for label in self.outputs[name].labels)
+
+    def output(self, name: str) -> ca.SX:
+        """Column of one output quantity, by name."""
+        if name not in self.outputs:
+            raise ValueError(f"model '{self.name}': no output '{name}'; {self._suggest(name)}")
+        out = self.outputs[name]
+        kernel, constants = out.build()
+        x, z = self._pick(self.x, out.reads), self._pick(self.z, out.reads_z)
+        return kernel(self.t, x, z, constants)
+
+    def _suggest(self, name: str) -> str:
+        owner = name.split(".")[0]
+        close = [key for key in self.outputs if key.split(".")[0] == owner]
+        return "there are: " + ", ".join(close or sorted({k.split(".")[0] for k in self.outputs}))
+
+    def start_values(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Start values of x and z for the given parameter values."""
+        values = ca.Function("start", [self.p], [self.x_start, self.z_start])(p)
+        x0, z0 = (np.array(value).reshape(-1) for value in values)
+        return x0, z0
+
+    def verify(self) -> None:
+        """Check sizes, labels, rows and free symbols.
+
+        Raises:
+            ValueError: what is inconsistent, and where.
+        """
+        for kind in "xzup":
+            labels, column = getattr(self, f"{kind}_labels"), getattr(self, kind)
+            names = [label.name for label in labels]
+            if len(names) != column.numel() or len(set(names)) != len(names):
+                raise ValueError(
+                    f"model '{self.name}': {column.numel()} entries of {kind} need as many "
+                    f"different names; got {names}"
+                )
+        for part in self.parts:
+            self._verify_part(part)
+        for name in self.requested:
+            self.output(name)
+        known = ca.vertcat(self.t, self.x, self.z, self.u, self.p)
+        free = ca.Function("verify", [known], [self.ode, self.alg], {"allow_free": True}).free_sx()
+        if free:
+            raise ValueError(f"model '{self.name}': symbols {free} are no t, x, z, u, p of it")
+
+    def _verify_part(self, part: Part) -> None:
+        n_ode, n_alg = part.kernel.size1_out(0), part.kernel.size1_out(1)
+        if n_ode != len(part.ode_rows) or n_alg != len(part.alg_rows):
+            raise ValueError(
+                f"model '{self.name}', part '{part.name}': kernel gives {n_ode} + {n_alg} rows, "
+                f"indices name {len(part.ode_rows)} + {len(part.alg_rows)}"
+            )
+        if max(part.ode_rows, default=0) >= max(1, self.x.numel()):
+            raise ValueError(f"model '{self.name}', part '{part.name}': row outside the states")
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.name}: {self.x.numel()} states, {self.z.numel()} algebraic, "
+            f"{self.u.numel()} inputs, {self.p.numel()} parameters"
+        ]
+        for title, kind in (
+            ("states", "x"),
+            ("algebraic", "z"),
+            ("inputs", "u"),
+            ("parameters", "p"),
+        ):
+            lines += table(title, getattr(self, f"{kind}_labels"))
+        return "\n".join(lines + [f"note: {note}" for note in self.notes])
+
+
+def table(title: str, labels: tuple[Label, ...]) -> list[str]:
+    """Lines of a table of labels: index, name, start value with unit."""
+    if not labels:
+        return []
+    width = max(len(label.name) for label in labels)
+    rows = [
+        f"  {i:4d}  {label.name:<{width}}  {label.start:.6g} {label.unit}".rstrip()
+        for i, label in enumerate(labels)
+    ]
+    return [f"{title}:", *rows]

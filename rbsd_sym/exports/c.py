@@ -1,0 +1,137 @@
+"""Plain C99: header, source, example, manifest and model card of a model."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import casadi as ca
+
+from .. import version
+from ..model import Model
+from . import names
+from .card import card_text
+from .example import example_text
+from .files import MANIFEST, Artefact, sha256, write_folder
+from .header import Exported, banner, defaults_signature, header_text, signature
+
+_ALWAYS = ("ode", "alg", "out")
+_JACOBIANS = tuple(f"d{f}_d{v}" for f in ("ode", "alg") for v in "xzup")
+
+
+def export_c(
+    model: Model, folder: str | os.PathLike[str], functions: Sequence[str] | None = None
+) -> Artefact:
+    """Write <name>.h, <name>.c, example.c, manifest.json and README.md into a folder.
+
+    Arguments:
+        folder: made if needed; files of an earlier export there are replaced.
+        functions: names as in `model.function`; by default ode, alg, out and the Jacobians of ode
+            and alg, as far as they are not empty.
+
+    Raises:
+        ValueError: unknown function, names that collide in C, a folder that cannot be written.
+    """
+    chosen = list(functions) if functions is not None else _default(model)
+    exported = [_exported(model, name) for name in dict.fromkeys(chosen)]
+    target = Path(folder)
+    texts = {
+        f"{model.name}.h": header_text(model, exported),
+        f"{model.name}.c": source_text(model, exported),
+        "example.c": example_text(model, exported),
+        "README.md": card_text(model, exported),
+    }
+    texts[MANIFEST] = _manifest(model, exported, texts)
+    write_folder(target, texts)
+    return Artefact(target, model.name, model.digest, tuple(f.name for f in exported))
+
+
+def _default(model: Model) -> list[str]:
+    return [name for name in (*_ALWAYS, *_JACOBIANS)
+            if name == "ode" or model.expression(name).nnz()]  # fmt: skip
+
+
+def _exported(model: Model, name: str) -> Exported:
+    result = model.expression(name)
+    sparse = result.size2() > 1 or name in _JACOBIANS or name.startswith("dout_d")
+    symbol = names.kernel(model.name, name)
+    expression = result if sparse else ca.densify(result)
+    kernel = ca.Function(symbol, model.symbols, [expression], list("txzup"), [names.c_name(name)])
+    return Exported(name, kernel, sparse)
+
+
+def source_text(model: Model, functions: list[Exported]) -> str:
+    """The text of <name>.c: CasADi's kernels and one plain function around each."""
+    generator = ca.CodeGenerator(f"{model.name}_casadi", {"with_header": False})
+    for f in functions:
+        generator.add(f.kernel)
+    parts = [
+        banner(model, f"{model.name}.c: kernels by CasADi, each behind one plain C function"),
+        f'#include "{model.name}.h"\n',
+        "#if defined(__GNUC__)\n"
+        '#pragma GCC diagnostic ignored "-Wunused-parameter" /* of CasADi\'s common signature */\n'
+        "#endif\n",
+        generator.dump(),
+        _defaults(model),
+        *(_wrapper(model, f) for f in functions),
+    ]
+    return "\n".join(parts)
+
+
+def _defaults(model: Model) -> str:
+    dae = model.dae
+    lines = [defaults_signature(model.name), "{"]
+    for kind in "xzup":
+        labels = getattr(dae, f"{kind}_labels")
+        if not labels:
+            lines.append(f"  (void)({kind});")
+            continue
+        values = ", ".join(repr(float(label.start)) for label in labels)
+        lines += [
+            f"  static const double {kind}_start[{len(labels)}] = {{{values}}};",
+            f"  if ({kind}) {{",
+            f"    for (int i = 0; i < {len(labels)}; ++i) {kind}[i] = {kind}_start[i];",
+            "  }",
+        ]
+    return "\n".join([*lines, "}", ""])
+
+
+def _wrapper(model: Model, f: Exported) -> str:
+    k, result = f.kernel, names.c_name(f.name)
+    lines = [
+        signature(model.name, f.name), "{",
+        f"  const double *arg[{max(5, k.sz_arg())}] = {{0}};",
+        f"  double *res[{max(1, k.sz_res())}] = {{0}};",
+        f"  casadi_int iw[{max(1, k.sz_iw())}];",
+        f"  double w[{max(1, k.sz_w())}];",
+        "  arg[0] = &t;", "  arg[1] = x;", "  arg[2] = z;", "  arg[3] = u;", "  arg[4] = p;",
+        f"  res[0] = {result};",
+        f"  return {k.name()}(arg, res, iw, w, 0);", "}", "",
+    ]  # fmt: skip
+    if f.sparse:
+        pattern = k.sparsity_out(0)
+        for what, values in (("colind", pattern.colind()), ("row", pattern.row())):
+            numbers = ", ".join(str(value) for value in values) or "0"
+            lines += [
+                f"const int *{names.function(model.name, f.name)}_{what}(void)", "{",
+                f"  static const int {what}[] = {{{numbers}}};", f"  return {what};", "}", "",
+            ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _manifest(model: Model, functions: list[Exported], texts: dict[str, str]) -> str:
+    dae = model.dae
+    content = {
+        "rbsd_sym": version.VERSION, "abi": version.ABI, "casadi": ca.CasadiMeta.version(),
+        "name": model.name, "digest": model.digest,
+        "functions": {f.name: {"rows": f.rows, "columns": f.columns, "numbers": f.numbers}
+                      for f in functions},
+        "labels": {
+            kind: [[v.name, v.unit, v.start] for v in getattr(dae, f"{kind}_labels")]
+            for kind in ("x", "z", "u", "p", "out")
+        },
+        "files": {name: sha256(text) for name, text in sorted(texts.items())},
+    }  # fmt: skip
+    return json.dumps(content, indent=1) + "\n"

@@ -1,0 +1,53 @@
+"""The model card: what a generated folder holds, for the person who finds it."""
+
+from __future__ import annotations
+
+from .. import version
+from ..dae import Label
+from ..model import Model
+from .header import Exported
+
+
+def card_text(model: Model, functions: list[Exported]) -> str:
+    """The text of README.md."""
+    dae, name = model.dae, model.name
+    lines = [
+        f"# {name}", "",
+        f"A model of rigid bodies and 6-DOF spring-dampers, written by rbsd_sym {version.VERSION}: "
+        f"`x' = ode(t, x, z, u, p)`, `0 = alg`, `y = out`. Digest `{model.digest}`.", "",
+        f"{model.n_x} states, {model.n_z} algebraic unknowns, {model.n_u} inputs, {model.n_p} "
+        f"parameters, {len(dae.out_labels)} outputs.", "",
+        "## Use", "", "```sh",
+        f"cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example", "```", "",
+        f"`{name}.h` is the contract: functions, sizes, indices with units. To write this folder "
+        "again:", "", "```python", "import rbsd_sym as rs",
+        "rs.export_c(rs.compile_scene(scene), folder)", "```", "",
+        "## Functions", "", "| function | result | instructions |", "|---|---|---|",
+    ]  # fmt: skip
+    for f in functions:
+        size = f"{f.rows} x {f.columns}, {f.numbers} nonzeros" if f.sparse else f"{f.numbers}"
+        lines.append(
+            f"| `{name}_{f.name.replace('.', '_')}` | {size} | {f.kernel.n_instructions()} |"
+        )
+    lines += ["", "## States kept", "", *_rows(dae.x_labels)]
+    for title, labels in (
+        ("Algebraic unknowns", dae.z_labels),
+        ("Inputs", dae.u_labels),
+        ("Parameters", dae.p_labels),
+    ):
+        if labels:
+            lines += ["", f"## {title}", "", *_rows(labels)]
+    lines += ["", "## States dropped", ""]
+    if model.dropped:
+        lines += ["| state | value | why |", "|---|---|---|"]
+        lines += [f"| `{d.name}` | {d.value!r} | {d.reason} |" for d in model.dropped]
+    else:
+        lines.append("None.")
+    if dae.notes:
+        lines += ["", "## Notes", "", *(f"- {note}" for note in dae.notes)]
+    return "\n".join([*lines, ""])
+
+
+def _rows(labels: tuple[Label, ...]) -> list[str]:
+    rows = [f"| {i} | `{v.name}` | {v.unit or '1'} | {v.start!r} |" for i, v in enumerate(labels)]
+    return ["| index | name | unit | start |", "|---|---|---|---|", *rows]

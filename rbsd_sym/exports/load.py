@@ -1,0 +1,164 @@
+"""The compiled library of a generated folder: built once, kept in a cache, called from CasADi."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+
+from .. import version
+from ..model import Model
+from . import names
+from .files import Artefact, read_manifest, sha256
+
+_FLAGS = ("-O2",)
+
+
+class CompilerMissing(RuntimeError):
+    """There is no C compiler on this machine; everything but building C works without one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """A compiled model; `function(name)` is the CasADi Function (t, x, z, u, p) of the C code."""
+
+    path: Path
+    name: str
+    digest: str
+    functions: tuple[str, ...]
+
+    def function(self, name: str) -> ca.Function:
+        """A function of the library.
+
+        Raises:
+            ValueError: it was not exported.
+        """
+        if name not in self.functions:
+            raise ValueError(
+                f"library of '{self.name}': no function '{name}'; it has "
+                f"{', '.join(self.functions)}; export it with export_c(functions=[...])"
+            )
+        return ca.external(names.kernel(self.name, name), str(self.path))
+
+
+def load_c(
+    source: Artefact | str | os.PathLike[str],
+    model: Model | None = None,
+    compiler: str | None = None,
+    flags: Sequence[str] = _FLAGS,
+) -> Library:
+    """Compile a generated folder, if the cache does not hold it yet, and load it.
+
+    Arguments:
+        source: what `export_c` gave, or its folder.
+        model: if given, the folder must be of this very model.
+        compiler: $CC, cc, gcc or clang by default.
+        flags: beyond those that make a shared library of C99.
+
+    Raises:
+        ValueError: the folder is stale, damaged, or of another model or ABI.
+        CompilerMissing: there is no compiler.
+        RuntimeError: the compiler failed; with its message.
+    """
+    folder = source.folder if isinstance(source, Artefact) else Path(source)
+    manifest = read_manifest(folder)
+    _check(folder, manifest, model)
+    name = str(manifest["name"])
+    chosen = _compiler(compiler)
+    text = (folder / f"{name}.c").read_bytes() + (folder / f"{name}.h").read_bytes()
+    key = hashlib.sha256(
+        b"\0".join([text, _identity(chosen).encode(), " ".join(flags).encode()])
+    ).hexdigest()[:24]
+    library = _cache_folder() / f"{name}-{manifest['digest']}-{key}.so"
+    if not library.exists():
+        _build(folder / f"{name}.c", library, chosen, flags)
+    return Library(library, name, str(manifest["digest"]), tuple(manifest["functions"]))
+
+
+def _check(folder: Path, manifest: dict, model: Model | None) -> None:
+    if manifest["abi"] != version.ABI:
+        raise ValueError(
+            f"{folder}: written for ABI {manifest['abi']}, this version has {version.ABI}; export "
+            "the model again"
+        )
+    if model is not None and manifest["digest"] != model.digest:
+        raise ValueError(
+            f"{folder}: library model {manifest['digest']} does not match model {model.digest}; "
+            "run export_c(model, folder) again"
+        )
+    for name in (f"{manifest['name']}.c", f"{manifest['name']}.h"):
+        try:
+            text = (folder / name).read_text()
+        except OSError as error:
+            raise ValueError(f"{folder}: {name} is missing; export the model again") from error
+        if sha256(text) != manifest["files"].get(name):
+            raise ValueError(
+                f"{folder}: {name} is not the file that was written (its hash differs); export the "
+                "model again"
+            )
+
+
+def _compiler(compiler: str | None) -> str:
+    wanted = [compiler] if compiler else [os.environ.get("CC", ""), "cc", "gcc", "clang"]
+    for name in wanted:
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    raise CompilerMissing(
+        f"no C compiler found ({', '.join(name for name in wanted if name)}); building C needs "
+        "one, everything else works without: use model.function(name)"
+    )
+
+
+@cache
+def _identity(compiler: str) -> str:
+    result = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False)
+    return f"{compiler} {result.stdout.splitlines()[:1]}"
+
+
+def _cache_folder() -> Path:
+    """$RBSD_SYM_CACHE, or rbsd_sym in the user's cache folder."""
+    chosen = os.environ.get("RBSD_SYM_CACHE")
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(chosen) if chosen else Path(base) / "rbsd_sym"
+
+
+def _build(source: Path, library: Path, compiler: str, flags: Sequence[str]) -> None:
+    """Compile under a temporary name and put it in place: half a library is never seen."""
+    try:
+        library.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=library.parent, suffix=".part")
+    except OSError as error:
+        raise ValueError(
+            f"{library.parent}: cannot be written ({error.strerror}); set RBSD_SYM_CACHE to a "
+            "folder you may write to"
+        ) from error
+    os.close(handle)
+    command = [
+        compiler,
+        "-std=c99",
+        "-fPIC",
+        "-shared",
+        *flags,
+        str(source),
+        "-o",
+        temporary,
+        "-lm",
+    ]
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        if result.returncode:
+            raise RuntimeError(f"{' '.join(command)} failed:\n{result.stderr[-2000:]}")
+        os.chmod(temporary, 0o755)
+        os.replace(temporary, library)
+    finally:
+        if os.path.exists(temporary):
+            os.unlink(temporary)

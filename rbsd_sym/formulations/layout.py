@@ -1,0 +1,114 @@
+"""Layout of the states of a scene: which rows belong to which body, and what they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import casadi as ca
+
+from ..dae import Label
+from ..mechanics import Body, MarkerOnBody, Wrench, body_motion, shift_to_body
+from ..scene import GROUND, Marker, RigidBody, Scene
+from ..symbols import TIME, to_expr
+from .columns import rotation_pair
+
+
+class Coordinates(Protocol):
+    """Rotation coordinates of a body: what a formulation chooses. `labels` are (name, unit)."""
+
+    @property
+    def labels(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of each coordinate."""
+        ...
+
+    def start(self, R_WB: ca.SX, q_WB: ca.SX) -> ca.SX:
+        """Coordinates of a rotation, given as matrix and as quaternion."""
+        ...
+
+    def orientation(self, r: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Rotation matrix and quaternion of the coordinates."""
+        ...
+
+    def rate(self, r: ca.SX, w_WB_B: ca.SX) -> ca.SX:
+        """Time derivative of the coordinates."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Rows of each body: position (3), rotation coordinates, velocity (3), angular velocity (3)."""
+
+    scene: Scene
+    coordinates: Coordinates
+
+    @property
+    def size(self) -> int:
+        """States of one body."""
+        return 9 + len(self.coordinates.labels)
+
+    @cached_property
+    def _indices(self) -> dict[str, int]:
+        return {body.name: i for i, body in enumerate(self.scene.bodies)}
+
+    def index(self, name: str) -> int:
+        """Index of a body in the scene."""
+        return self._indices[name]
+
+    def rows(self, index: int) -> tuple[int, ...]:
+        """Rows of a body."""
+        return tuple(range(index * self.size, (index + 1) * self.size))
+
+    def velocity_rows(self, index: int) -> tuple[int, ...]:
+        """Rows of velocity and angular velocity of a body."""
+        return self.rows(index)[-6:]
+
+    def carriers(self, *markers: Marker) -> list[int]:
+        """Indices of the moving bodies that carry the markers, each once."""
+        names = [marker.body for marker in markers if marker.body != GROUND]
+        return [self.index(name) for name in dict.fromkeys(names)]
+
+    def labels(self, body: RigidBody) -> list[Label]:
+        """Names and units of a body's states."""
+        names = [("p_x", "m"), ("p_y", "m"), ("p_z", "m"), *self.coordinates.labels]
+        names += [("v_x", "m/s"), ("v_y", "m/s"), ("v_z", "m/s")]
+        names += [("w_x", "rad/s"), ("w_y", "rad/s"), ("w_z", "rad/s")]
+        return [Label(f"{body.name}.{name}", unit) for name, unit in names]
+
+    def start(self, body: RigidBody) -> ca.SX:
+        """Start values of a body's states, over the Params."""
+        R_WB, q_WB = rotation_pair(body.rotation)
+        w_B, com = to_expr(body.angular_velocity), to_expr(body.com)
+        position = to_expr(body.position) + R_WB @ com
+        velocity = to_expr(body.velocity) + R_WB @ ca.cross(w_B, com)
+        return ca.vertcat(position, self.coordinates.start(R_WB, q_WB), velocity, w_B)
+
+    def split(self, x: ca.SX) -> list[ca.SX]:
+        """The states of several bodies, body by body."""
+        return [x[i : i + self.size] for i in range(0, x.numel(), self.size)]
+
+    def body(self, x: ca.SX) -> Body:
+        """Motion of a body from its own states."""
+        n = len(self.coordinates.labels)
+        R_WB, q_WB = self.coordinates.orientation(x[3 : 3 + n])
+        return body_motion(x[:3], R_WB, q_WB, x[3 + n : 6 + n], x[6 + n : 9 + n])
+
+    def kinematic_rates(self, x: ca.SX) -> ca.SX:
+        """Rates of position and rotation coordinates; zero for the velocities."""
+        n = len(self.coordinates.labels)
+        rate = self.coordinates.rate(x[3 : 3 + n], x[6 + n : 9 + n])
+        return ca.vertcat(x[3 + n : 6 + n], rate, ca.SX.zeros(6))
+
+
+def accelerations(body: Body, marker: MarkerOnBody, wrench: Wrench, compliance: ca.SX) -> ca.SX:
+    """(v', w') that a wrench at a marker gives a body."""
+    moved = shift_to_body(body, marker.p_BA, wrench)
+    inverse = ca.reshape(compliance[1:], 3, 3)
+    return ca.vertcat(compliance[0] * moved.f, inverse @ moved.tau)
+
+
+def kernel(name: str, x: ca.SX, c: ca.SX, *results: ca.SX) -> ca.Function:
+    """Function (t, x, z, c) -> results, dense."""
+    dense = [ca.densify(result) for result in results]
+    return ca.Function(name, [TIME.expr, x, ca.SX.sym("z", 0), c], dense)

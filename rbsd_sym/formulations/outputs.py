@@ -1,0 +1,109 @@
+"""Outputs of a scene: quantities of bodies, connectors and the whole, built when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+import casadi as ca
+
+from ..dae import Output
+from ..sensors import (
+    BODY_QUANTITIES,
+    CONNECTOR_QUANTITIES,
+    SCENE_QUANTITIES,
+    BodyView,
+    Quantity,
+)
+from ..symbols import to_expr
+from .columns import BODY, body_column
+from .connector import ConnectorWriter
+from .layout import Layout, kernel
+
+_ALL_UP_TO = 10  # bodies and connectors; beyond it outputs are asked for by name
+
+
+@dataclass(frozen=True, eq=False)
+class OutputWriter:
+    """Writes the outputs of a scene."""
+
+    layout: Layout
+    connectors: tuple[ConnectorWriter, ...]
+    cache: dict[Hashable, ca.Function]
+
+    def write(self) -> dict[str, Output]:
+        """Every output by name: <body>.<quantity>, <connector>.<quantity>, <quantity>."""
+        outputs: dict[str, Output] = {}
+
+        def add(owner: str, q: Quantity, reads: tuple[int, ...], build: Callable) -> None:
+            name = f"{owner}.{q.name}" if owner else q.name
+            outputs[name] = Output(name, q.unit, q.components, q.shape, build, reads)
+
+        for i, body in enumerate(self.layout.scene.bodies):
+            for q in BODY_QUANTITIES:
+                add(
+                    body.name,
+                    q,
+                    self.layout.rows(i),
+                    lambda q=q, body=body: (self._of_body(q), body_column(body)),
+                )
+        for writer in self.connectors:
+            for q in CONNECTOR_QUANTITIES:
+                add(
+                    writer.connector.name,
+                    q,
+                    writer.reads,
+                    lambda q=q, writer=writer: writer.measure(q),
+                )
+        everything = tuple(range(self.layout.size * len(self.layout.scene.bodies)))
+        for q in SCENE_QUANTITIES:
+            add("", q, everything, lambda q=q: self._of_scene(q))
+        return outputs
+
+    def requested(self, outputs: dict[str, Output]) -> tuple[str, ...]:
+        """Names of the outputs in `out`: those the scene asks for, or all of a small scene.
+
+        Raises:
+            ValueError: an unknown name.
+        """
+        scene = self.layout.scene
+        if scene.outputs is None:
+            small = len(scene.bodies) + len(scene.connectors) <= _ALL_UP_TO
+            return tuple(outputs) if small else ()
+        for name in scene.outputs:
+            if name not in outputs:
+                owner = str(name).split(".")[0]
+                near = [key for key in outputs if key.split(".")[0] == owner] or list(outputs)[:20]
+                raise ValueError(
+                    f"scene '{scene.name}', outputs: no output '{name}'; there are: "
+                    + ", ".join(near)
+                )
+        return tuple(scene.outputs)
+
+    def _view(self, x: ca.SX, c: ca.SX) -> BodyView:
+        inertia = ca.reshape(c[1:10], 3, 3)
+        return BodyView(self.layout.body(x), c[0], inertia, c[10:13], c[13:16])
+
+    def _of_body(self, q: Quantity) -> ca.Function:
+        if ("body", q) not in self.cache:
+            x, c = ca.SX.sym("x", self.layout.size), ca.SX.sym("c", BODY)
+            self.cache["body", q] = kernel(q.name, x, c, q.measure(self._view(x, c)))
+        return self.cache["body", q]
+
+    def _of_scene(self, q: Quantity) -> tuple[ca.Function, ca.SX]:
+        scene = self.layout.scene
+        x = ca.SX.sym("x", self.layout.size * len(scene.bodies))
+        columns = [to_expr(scene.gravity), *(body_column(body) for body in scene.bodies)]
+        stored, symbols = ca.SX(0), []
+        for writer in self.connectors if q.of_connectors else ():
+            function, column = writer.measure(q.of_connectors)
+            columns.append(column)
+            symbols.append(ca.SX.sym("c", column.numel()))
+            stored += function(0, x[list(writer.reads)], ca.SX(0, 1), symbols[-1])
+        c = ca.SX.sym("c", 3 + BODY * len(scene.bodies))
+        views = [
+            self._view(part, c[3 + BODY * i : 3 + BODY * (i + 1)])
+            for i, part in enumerate(self.layout.split(x))
+        ]
+        value = q.measure((views, c[:3], stored))
+        return kernel(q.name, x, ca.vertcat(c, *symbols), value), ca.vertcat(*columns)

@@ -1,0 +1,211 @@
+"""CasADi's integrators behind one call: time-varying inputs, partial results, statistics."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ..model import Model
+from ..trajectory import Column, Experiment, Outcome, Samples, Signal, Trajectory
+from .signals import evaluate, is_constant, symbolic
+
+
+class Run(NamedTuple):
+    """Raw result: x (n, n_x), z (n, n_z) with NaN rows after a failure, messages, statistics."""
+
+    x: np.ndarray
+    z: np.ndarray
+    failed: bool
+    messages: str
+    stats: Mapping[str, Any]
+
+
+class Verdict(NamedTuple):
+    """What an integrator makes of a failed run: the outcome, the time if known, advice."""
+
+    outcome: Outcome
+    t: float | None
+    advice: str
+
+
+def run(
+    model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any],
+    judge: Callable[[Run], Verdict], count: Mapping[str, str],
+) -> Trajectory:  # fmt: skip
+    """Integrate with a CasADi plugin.
+
+    Arguments:
+        judge: reads the outcome from a failed run.
+        count: names of the statistics we report and of the plugin's own.
+    """
+    started = time.perf_counter()
+    if model.n_z:
+        z, consistent = _consistent(model, experiment)
+        if not consistent:
+            return _not_consistent(model, experiment)
+        experiment = Experiment(experiment.t, experiment.x, z, experiment.p, experiment.inputs)
+    integrator = _integrator(model, experiment, plugin, options)
+    built = time.perf_counter()
+    result = _evaluate(integrator, experiment)
+    stats = {ours: float(result.stats.get(theirs, np.nan)) for ours, theirs in count.items()}
+    stats["time"] = time.perf_counter() - built
+    stats["time_build"] = built - started
+    return _trajectory(model, experiment, result, judge, stats)
+
+
+def _integrator(
+    model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any]
+) -> ca.Function:
+    """The integrator Function, kept with the model for runs of the same kind."""
+    varying = tuple(s for s in experiment.inputs if not is_constant(s))
+    constant = tuple(is_constant(s) for s in experiment.inputs)
+    key = ("integrator", plugin, repr(sorted(options.items())), experiment.t.tobytes(), constant,
+           tuple(id(s) for s in varying))  # fmt: skip
+    if key not in model.memo:
+        dae = _dae(model, experiment.inputs)
+        grid = [float(t) for t in experiment.t]
+        function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
+        model.memo[key] = (function, varying)  # the signals are kept, so that ids stay theirs
+    return model.memo[key][0]
+
+
+def _dae(model: Model, inputs: tuple[Signal, ...]) -> dict[str, Any]:
+    """CasADi's DAE: constant inputs are parameters after p, the others functions of time."""
+    dae = model.dae
+    traced = [symbolic(signal, dae.t) for signal in inputs]
+    constant = [dae.u[i] for i, s in enumerate(inputs) if is_constant(s)]
+    p = ca.vertcat(dae.p, *constant)
+    if all(expr is not None or is_constant(s) for s, expr in zip(inputs, traced, strict=True)):
+        u = ca.vertcat(ca.SX(0, 1), *(
+            dae.u[i] if expr is None else expr for i, expr in enumerate(traced)))  # fmt: skip
+        ode, alg = ca.substitute([dae.ode, dae.alg], [dae.u], [u])
+        return {"t": dae.t, "x": dae.x, "z": dae.z, "p": p, "ode": ode, "alg": alg}
+    t, x, z = ca.MX.sym("t"), ca.MX.sym("x", model.n_x), ca.MX.sym("z", model.n_z)
+    q = ca.MX.sym("p", p.numel())
+    entries, place = [], model.n_p
+    for signal in inputs:
+        if is_constant(signal):
+            entries.append(q[place])
+            place += 1
+        else:
+            entries.append(evaluate(signal, t))
+    u = ca.vertcat(*entries)
+    arguments = (t, x, z, u, q[: model.n_p])
+    return {"t": t, "x": x, "z": z, "p": q, "ode": model.function("ode")(*arguments),
+            "alg": model.function("alg")(*arguments)}  # fmt: skip
+
+
+def _evaluate(integrator: ca.Function, experiment: Experiment) -> Run:
+    """Call through buffers, which CasADi fills row by row: a failure keeps what came before."""
+    n = len(experiment.t) - 1
+    constant = [float(s) for s in experiment.inputs if is_constant(s)]  # type: ignore[arg-type]
+    arguments = {"x0": experiment.x, "z0": experiment.z,
+                 "p": np.concatenate([experiment.p, np.array(constant)])}  # fmt: skip
+    results = {"xf": np.full((n, experiment.x.size), np.nan),
+               "zf": np.full((n, experiment.z.size), np.nan)}  # fmt: skip
+    buffer, evaluate_buffer = integrator.buffer()
+    kept = {key: np.ascontiguousarray(value, float) for key, value in arguments.items()}
+    for key, value in kept.items():
+        if value.size:
+            buffer.set_arg(integrator.index_in(key), memoryview(value))
+    for key, value in results.items():
+        if value.size:
+            buffer.set_res(integrator.index_out(key), memoryview(value))
+    messages, failed = io.StringIO(), False
+    with contextlib.redirect_stderr(messages), contextlib.redirect_stdout(messages):
+        try:
+            evaluate_buffer()
+            failed = buffer.ret() != 0
+        except RuntimeError as error:
+            failed = True
+            messages.write(str(error))
+    x = np.vstack([experiment.x, results["xf"]])
+    z = np.vstack([experiment.z, results["zf"]])
+    return Run(x, z, failed, messages.getvalue(), dict(buffer.stats()))
+
+
+def _trajectory(
+    model: Model, experiment: Experiment, result: Run, judge: Callable[[Run], Verdict],
+    stats: dict[str, float],
+) -> Trajectory:  # fmt: skip
+    finite = np.isfinite(result.x).all(axis=1) & np.isfinite(result.z).all(axis=1)
+    n = int(np.argmin(finite)) if not finite.all() else len(finite)
+    if not result.failed and n == len(finite):
+        return assemble(model, experiment, result.x, result.z, Outcome.reached_end,
+                        Outcome.reached_end.value, stats)  # fmt: skip
+    if result.failed:
+        verdict = judge(result)
+    else:
+        verdict = Verdict(Outcome.not_finite, None, "check parameters and start values")
+    t_last = experiment.t[max(n, 1) - 1]
+    t_fail = verdict.t if verdict.t is not None and verdict.t >= t_last else t_last
+    stats["t_failed"] = float(t_fail)
+    where = _fastest(model, experiment, result.x[n - 1], result.z[n - 1], t_last)
+    report = (
+        f"{verdict.outcome.value} at t = {t_fail:.9g} s; last saved state at t = {t_last:.9g} s, "
+        f"{where}; {verdict.advice}"
+    )
+    return assemble(model, experiment, result.x[:n], result.z[:n], verdict.outcome, report, stats)
+
+
+def _fastest(model: Model, e: Experiment, x: np.ndarray, z: np.ndarray, t: float) -> str:
+    """The state with the largest rate, which usually names the culprit."""
+    u = input_values(e.inputs, np.array([t]))
+    rates = np.array(model.function("ode")(t, x, z, u, e.p)).reshape(-1)
+    i = int(np.argmax(np.where(np.isfinite(rates), np.abs(rates), np.inf)))
+    label = model.x_labels[i]
+    return f"fastest there: {label.name} = {x[i]:.6g} {label.unit} with rate {rates[i]:.6g}"
+
+
+def input_values(inputs: tuple[Signal, ...], t: np.ndarray) -> np.ndarray:
+    """Inputs over time (n_u, n)."""
+    rows = []
+    for signal in inputs:
+        if isinstance(signal, Samples):
+            rows.append(np.interp(t, signal.t, signal.values))
+        elif callable(signal):
+            rows.append(np.array([float(signal(float(time))) for time in t]))
+        else:
+            rows.append(np.full(len(t), float(signal)))
+    return np.array(rows).reshape(len(inputs), len(t))
+
+
+def assemble(
+    model: Model, experiment: Experiment, x: np.ndarray, z: np.ndarray, outcome: Outcome,
+    report: str, stats: Mapping[str, float],
+) -> Trajectory:  # fmt: skip
+    """A `Trajectory` from its states (n, n_x) and (n, n_z)."""
+    dae, t = model.dae, experiment.t[: len(x)]
+    columns = {label.name: Column(x[:, i], label.unit) for i, label in enumerate(dae.x_labels)}
+    columns |= {label.name: Column(z[:, i], label.unit) for i, label in enumerate(dae.z_labels)}
+    u = input_values(experiment.inputs, t)
+    columns |= {label.name: Column(u[i], label.unit) for i, label in enumerate(dae.u_labels)}
+    states = tuple(label.name for label in (*dae.x_labels, *dae.z_labels))
+    parameters = {label.name: float(v) for label, v in zip(dae.p_labels, experiment.p, strict=True)}
+    return Trajectory(
+        model.name, t, columns, outcome, report, stats, parameters, states, model.digest,
+        model.measure,
+    )  # fmt: skip
+
+
+def _consistent(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
+    """Z that solves alg = 0 at the start, by Newton's method from the given z."""
+    t, u = float(e.t[0]), input_values(e.inputs, e.t[:1])
+    z = ca.SX.sym("z", model.n_z)
+    residual = model.function("alg")(t, e.x, z, u, e.p)
+    newton = ca.rootfinder("start", "newton", {"x": z, "g": residual},
+                           {"error_on_fail": False, "abstol": 1e-13, "max_iter": 50})  # fmt: skip
+    value = np.array(newton(e.z, [])).reshape(-1)
+    return value, bool(newton.stats()["success"]) and bool(np.isfinite(value).all())
+
+
+def _not_consistent(model: Model, e: Experiment) -> Trajectory:
+    advice = "; give start values of the algebraic unknowns near a solution (start={name: value})"
+    outcome = Outcome.not_consistent
+    return assemble(model, e, e.x[None, :], e.z[None, :], outcome, outcome.value + advice, {})

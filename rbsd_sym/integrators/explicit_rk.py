@@ -1,0 +1,53 @@
+"""CasADi's explicit Runge-Kutta pair of order 5(4) for ODEs that are not stiff."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..model import Model
+from ..trajectory import Experiment, Trajectory
+from .checks import check_tolerances, judge_runge_kutta
+from .driver import run
+
+
+@dataclass(frozen=True)
+class ExplicitRK:
+    """Explicit, adaptive, dense output of order 4; the step is bound by the stiffest connector.
+
+    Arguments:
+        rtol, atol: relative and absolute local error of each state.
+        max_steps: within one output interval.
+        max_step: s; None leaves it free.
+        options: more of CasADi's options for the plugin, by their names.
+    """
+
+    rtol: float = 1e-8
+    atol: float = 1e-10
+    max_steps: int = 1_000_000
+    max_step: float | None = None
+    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        check_tolerances("ExplicitRK", self.rtol, self.atol)
+
+    def solve(self, model: Model, experiment: Experiment) -> Trajectory:
+        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.
+
+        Raises:
+            ValueError: the model has algebraic unknowns.
+        """
+        if model.n_z:
+            raise ValueError(
+                f"model '{model.name}': {model.n_z} algebraic unknowns; an explicit method "
+                "integrates ODEs only; use Idas() or Rosenbrock()"
+            )
+        options: dict[str, Any] = {
+            "reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps,
+        }  # fmt: skip
+        if self.max_step:
+            options["max_step_size"] = self.max_step
+        count = {"steps": "n_steps", "evaluations": "n_rhs", "rejected_steps": "n_reject"}
+        judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731
+        return run(model, experiment, "erk", options | dict(self.options), judge, count)

@@ -1,0 +1,45 @@
+"""CasADi's Rosenbrock-Wanner method of order 5(4) for stiff ODEs and index-1 DAEs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..model import Model
+from ..trajectory import Experiment, Trajectory
+from .checks import check_tolerances, judge_runge_kutta
+from .driver import run
+
+
+@dataclass(frozen=True)
+class Rosenbrock:
+    """Linearly implicit, L-stable, 8 stages, one exact Jacobian a step, dense output of order 4.
+
+    Arguments:
+        rtol, atol: relative and absolute local error of each state.
+        max_steps: within one output interval.
+        max_step: s; None leaves it free.
+        options: more of CasADi's options for the plugin, by their names.
+    """
+
+    rtol: float = 1e-8
+    atol: float = 1e-10
+    max_steps: int = 100_000
+    max_step: float | None = None
+    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        check_tolerances("Rosenbrock", self.rtol, self.atol)
+
+    def solve(self, model: Model, experiment: Experiment) -> Trajectory:
+        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""
+        options: dict[str, Any] = {
+            "reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps,
+        }  # fmt: skip
+        if self.max_step:
+            options["max_step_size"] = self.max_step
+        count = {"steps": "n_steps", "evaluations": "n_rhs", "jacobians": "n_jac",
+                 "rejected_steps": "n_reject"}  # fmt: skip
+        judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731
+        return run(model, experiment, "rosenbrock", options | dict(self.options), judge, count)

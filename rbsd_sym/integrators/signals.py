@@ -1,0 +1,63 @@
+"""Inputs as functions of time inside an integrator: traced with a symbol, sampled, or called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+
+from ..symbols import Scalar, is_number, to_expr
+from ..trajectory import Samples, Signal
+
+
+def is_constant(signal: Signal) -> bool:
+    """Whether the input is one number."""
+    return is_number(signal)
+
+
+def symbolic(signal: Signal, t: ca.SX) -> ca.SX | None:
+    """The input as an expression of t, if it is a function that takes a symbol; else None.
+
+    A traced function is exact and as fast as the model itself. One that branches on t, or calls
+    what knows only floats, cannot be traced.
+    """
+    if not callable(signal):
+        return None
+    try:
+        value = signal(Scalar(t))
+    except Exception:  # whatever a user's function raises on a symbol, floats may still do
+        return None
+    return to_expr(value) if is_number(value) else None
+
+
+def evaluate(signal: Signal, t: ca.MX) -> ca.MX:
+    """The input at time t in an MX graph: interpolated samples, or a call back into Python."""
+    if isinstance(signal, Samples):
+        times, values = [float(v) for v in signal.t], [float(v) for v in signal.values]
+        table = ca.interpolant("samples", "linear", [times], values)
+        return table(ca.fmin(ca.fmax(t, times[0]), times[-1]))
+    call = _Call(signal)  # type: ignore[arg-type]
+    _KEPT.append(call)  # CasADi holds no reference to a Callback of Python
+    return call(t)
+
+
+_KEPT: list[Any] = []
+
+
+class _Call(ca.Callback):
+    """A Python function of time; its derivative, which only Rosenbrock asks for, by differences."""
+
+    def __init__(self, signal: Callable[[float], float]) -> None:
+        ca.Callback.__init__(self)
+        self.signal = signal
+        self.construct("signal", {"enable_fd": True})
+
+    def get_n_in(self) -> int:
+        return 1
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def eval(self, arg: list[ca.DM]) -> list[float]:
+        return [float(self.signal(float(arg[0])))]

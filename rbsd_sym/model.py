@@ -1,0 +1,167 @@
+"""`derive(dae) -> Model`: every function with exact derivatives, by name."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from .dae import Dae, Label, table
+from .trajectory import Column, Trajectory
+from .version import VERSION
+
+_JACOBIAN = re.compile(r"d(ode|alg|out)_d([xzup])")
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A state that is not in the model, the value it keeps, and why."""
+
+    name: str
+    value: float
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A `Dae` with its functions; all take (t, x, z, u, p), a column each.
+
+    Names: `ode`, `alg`, `out`, any output such as "joint.force_local", and d<f>_d<v> for f in ode,
+    alg, out and v in x, z, u, p: the exact, sparse Jacobians.
+    """
+
+    dae: Dae
+    dropped: tuple[Dropped, ...] = ()
+    memo: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self.dae.name
+
+    @property
+    def n_x(self) -> int:
+        """Number of differential states."""
+        return int(self.dae.x.numel())
+
+    @property
+    def n_z(self) -> int:
+        """Number of algebraic unknowns."""
+        return int(self.dae.z.numel())
+
+    @property
+    def n_u(self) -> int:
+        """Number of inputs."""
+        return int(self.dae.u.numel())
+
+    @property
+    def n_p(self) -> int:
+        """Number of parameters."""
+        return int(self.dae.p.numel())
+
+    @property
+    def x_labels(self) -> tuple[Label, ...]:
+        """Name, unit and start value of each state."""
+        return self.dae.x_labels
+
+    @property
+    def digest(self) -> str:
+        """Hash of the scene's text, the formulation and the version of this package."""
+        return hashlib.sha256(f"{VERSION}\n{self.dae.source}".encode()).hexdigest()[:16]
+
+    @property
+    def symbols(self) -> list[ca.SX]:
+        """The arguments [t, x, z, u, p]."""
+        return [self.dae.t, self.dae.x, self.dae.z, self.dae.u, self.dae.p]
+
+    def expression(self, name: str) -> ca.SX:
+        """What the function of that name computes, over `symbols`.
+
+        Raises:
+            ValueError: no function of that name.
+        """
+        if name in ("ode", "alg", "out"):
+            return getattr(self.dae, name)
+        match = _JACOBIAN.fullmatch(name)
+        if match:
+            return ca.jacobian(getattr(self.dae, match[1]), getattr(self.dae, match[2]))
+        return self.dae.output(name)
+
+    def function(self, name: str) -> ca.Function:
+        """The CasADi Function (t, x, z, u, p) of that name, built at the first call."""
+        if name not in self.memo:
+            safe = name.replace(".", "_")
+            self.memo[name] = ca.Function(
+                safe, self.symbols, [self.expression(name)], list("txzup"), [safe]
+            )
+        return self.memo[name]
+
+    def hessian_product(self, name: str) -> ca.Function:
+        """Second derivatives of l'f times a direction, f = ode, alg or out.
+
+        Function (t, x, z, u, p, l, v) -> H v, with H the Hessian of l'f with respect to
+        w = [x; z; u; p] and v (n_w, 1).
+        """
+        key = f"hessian_product {name}"
+        if key not in self.memo:
+            f = self.expression(name)
+            w = ca.vertcat(*self.symbols[1:])
+            multiplier, direction = ca.SX.sym("l", f.numel()), ca.SX.sym("v", w.numel())
+            gradient = ca.jtimes(f, w, multiplier, True)
+            product = ca.jtimes(gradient, w, direction)
+            self.memo[key] = ca.Function(
+                f"{name}_hessian_product", [*self.symbols, multiplier, direction], [product],
+                [*"txzup", "l", "v"], ["product"],
+            )  # fmt: skip
+        return self.memo[key]
+
+    def measure(self, name: str, trajectory: Trajectory) -> Column:
+        """An output along a trajectory of this model."""
+        output = self.dae.outputs.get(name)
+        values = self.function(name)(
+            trajectory.t[None, :],
+            *(self._columns(trajectory, labels) for labels in
+              (self.dae.x_labels, self.dae.z_labels, self.dae.u_labels, self.dae.p_labels)),
+        )  # fmt: skip
+        shape = output.shape if output else (values.shape[0],)
+        unit = output.unit if output else ""
+        components = output.components if output else tuple(v.name for v in self.dae.out_labels)
+        return Column(np.array(values).T.reshape(-1, *shape), unit, components)
+
+    @staticmethod
+    def _columns(trajectory: Trajectory, labels: tuple[Label, ...]) -> np.ndarray:
+        rows = [trajectory[label.name] for label in labels]
+        return np.array(rows).reshape(len(labels), len(trajectory.t))
+
+    def operations(self, name: str) -> int:
+        """Number of scalar instructions of a function."""
+        return int(self.function(name).n_instructions())
+
+    def __str__(self) -> str:
+        jacobian = self.function("dode_dx")
+        lines = [
+            f"model {self.name}: {self.n_x} states, {self.n_z} algebraic, {self.n_u} inputs, "
+            f"{self.n_p} parameters, digest {self.digest}",
+            f"cost: ode {self.operations('ode')} instructions, dode_dx "
+            f"{self.operations('dode_dx')} instructions and {jacobian.nnz_out(0)} nonzeros",
+            *table("states kept", self.dae.x_labels),
+            *table("algebraic unknowns", self.dae.z_labels),
+            *table("inputs", self.dae.u_labels),
+            *table("parameters", self.dae.p_labels),
+        ]
+        if self.dropped:
+            lines.append("states dropped:")
+            lines += [f"  {d.name} = {d.value:.6g}: {d.reason}" for d in self.dropped]
+        else:
+            lines.append("states dropped: none")
+        return "\n".join(lines + [f"note: {note}" for note in self.dae.notes])
+
+
+def derive(dae: Dae) -> Model:
+    """A `Model` of a verified `Dae`."""
+    dae.verify()
+    return Model(dae)

@@ -1,0 +1,174 @@
+"""The spine: from a scene to a model, from a model to a trajectory. Read this file first.
+
+    Scene --write--> Dae --derive--> Model --solve--> Trajectory
+                                       +----write--> files (exports)
+
+A scene knows bodies, a Dae knows t x z u p and expressions of them, a Model knows functions. Each
+stage takes a frozen value and gives a frozen value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from .dae import Dae, Label
+from .formulations import Quaternion
+from .integrators import Idas
+from .model import Model, derive
+from .scene import Scene
+from .symbols import is_number
+from .trajectory import Experiment, Samples, Signal, Trajectory
+
+_DEFAULT_INTERVALS = 200
+
+
+class Formulation(Protocol):
+    """A choice of coordinates: writes a scene as a `Dae`."""
+
+    def write(self, scene: Scene) -> Dae:
+        """The scene as a `Dae`."""
+        ...
+
+
+class Integrator(Protocol):
+    """A method: solves an experiment; failures are outcomes, not exceptions."""
+
+    def solve(self, model: Model, experiment: Experiment) -> Trajectory:
+        """The trajectory, up to a failure if there is one."""
+        ...
+
+
+class IntegrationError(RuntimeError):
+    """An integration that failed; `trajectory` holds what was reached, with outcome and report."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        super().__init__(f"{trajectory.name}: {trajectory.report}")
+        self.trajectory = trajectory
+
+
+def compile_scene(scene: Scene, formulation: Formulation | None = None) -> Model:
+    """The model of a scene.
+
+    Arguments:
+        formulation: coordinates, `Quaternion()` by default.
+
+    Raises:
+        ValueError: the scene cannot be written in these coordinates.
+    """
+    return derive((formulation or Quaternion()).write(scene))
+
+
+def simulate(
+    model: Model,
+    times: float | Sequence[float] | np.ndarray,
+    integrator: Integrator | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    params: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
+    throw: bool = True,
+) -> Trajectory:
+    """Integrate a model.
+
+    Arguments:
+        times: the end in s (from 0, 200 intervals), or increasing output times, the first of which
+            is the start.
+        integrator: `Idas()` by default.
+        inputs: by name: a number, a function of t, or samples (times, values), which are linear
+            between and constant outside.
+        params: values by name; the others keep their default.
+        start: values of states by name; the others keep theirs.
+        throw: raise a failure; otherwise it is data in `trajectory.outcome`.
+
+    Raises:
+        ValueError: unknown names, times that do not increase.
+        IntegrationError: the integration failed; it carries the trajectory up to there.
+    """
+    experiment = make_experiment(model, times, inputs or {}, params or {}, start or {})
+    trajectory = (integrator or Idas()).solve(model, experiment)
+    if throw and not trajectory.outcome.ok:
+        raise IntegrationError(trajectory)
+    return trajectory
+
+
+def make_experiment(
+    model: Model,
+    times: float | Sequence[float] | np.ndarray,
+    inputs: Mapping[str, Any],
+    params: Mapping[str, float],
+    start: Mapping[str, float],
+) -> Experiment:
+    """Everything by name turned into vectors, and checked."""
+    dae = model.dae
+    p = _override(model, "parameter", dae.p_labels, [v.start for v in dae.p_labels], params)
+    x, z = dae.start_values(p)
+    labels = (*dae.x_labels, *dae.z_labels)
+    xz = _override(model, "state", labels, np.concatenate([x, z]), start)
+    _check_known(model, "input", dae.u_labels, inputs)
+    signals = tuple(_signal(model, v, inputs.get(v.name, v.start)) for v in dae.u_labels)
+    return Experiment(_times(times), xz[: model.n_x], xz[model.n_x :], p, signals)
+
+
+def _check_known(
+    model: Model, kind: str, labels: Sequence[Label], given: Mapping[str, Any]
+) -> None:
+    names = [label.name for label in labels]
+    for name in given:
+        if name not in names:
+            there = ", ".join(names[:30]) or "none"
+            raise ValueError(f"model '{model.name}': no {kind} '{name}'; there are: {there}")
+
+
+def _override(
+    model: Model, kind: str, labels: Sequence[Label], values: Any, given: Mapping[str, float]
+) -> np.ndarray:
+    _check_known(model, kind, labels, given)
+    out = np.array(values, float)
+    for i, label in enumerate(labels):
+        value = given.get(label.name, out[i])
+        if not is_number(value) or not np.isfinite(float(value)):
+            raise ValueError(
+                f"model '{model.name}', {kind} '{label.name}': {value!r} {label.unit}; give a "
+                "finite number"
+            )
+        out[i] = float(value)
+    return out
+
+
+def _signal(model: Model, label: Label, value: Any) -> Signal:
+    where = f"model '{model.name}', input '{label.name}'"
+    if callable(value):
+        return value
+    if is_number(value):
+        if not np.isfinite(float(value)):
+            raise ValueError(f"{where}: {value} {label.unit}; give a finite number")
+        return float(value)
+    try:
+        t, samples = (np.array(part, float) for part in value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{where}: {value!r}; give a number, a function of t, or samples (times, values)"
+        ) from error
+    good = t.ndim == 1 and t.shape == samples.shape and len(t) > 1 and bool((np.diff(t) > 0).all())
+    if not good or not (np.isfinite(t).all() and np.isfinite(samples).all()):
+        raise ValueError(
+            f"{where}: samples of shape {t.shape} and {samples.shape}; times increase, values are "
+            "finite, both have one length of at least 2"
+        )
+    return Samples(t, samples)
+
+
+def _times(times: float | Sequence[float] | np.ndarray) -> np.ndarray:
+    if is_number(times):
+        if not (np.isfinite(float(times)) and float(times) > 0):  # type: ignore[arg-type]
+            raise ValueError(f"simulate: t_end {times} s; the end is positive and finite")
+        return np.linspace(0.0, float(times), _DEFAULT_INTERVALS + 1)  # type: ignore[arg-type]
+    grid = np.array(times, float)
+    if grid.ndim != 1 or len(grid) < 2 or not np.isfinite(grid).all() or (np.diff(grid) <= 0).any():
+        raise ValueError(
+            f"simulate: output times of shape {grid.shape}; they are at least two finite numbers "
+            "that increase, the first is the start"
+        )
+    return grid

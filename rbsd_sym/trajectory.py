@@ -1,0 +1,194 @@
+"""What goes into an integrator and what comes out: plain numpy, named columns, save and load."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any, Union
+
+import numpy as np
+
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """An input given by samples: linear between them, constant before the first and after the last.
+
+    Arguments:
+        t: increasing times (n,), s.
+        values: (n,).
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+
+
+Signal = Union[float, Samples, Callable[[Any], Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """What to integrate: output times (n,), start x, z, values p, and one signal for each input."""
+
+    t: np.ndarray
+    x: np.ndarray
+    z: np.ndarray
+    p: np.ndarray
+    inputs: tuple[Signal, ...]
+
+
+class Outcome(Enum):
+    """How an integration ended; the value is the message."""
+
+    reached_end = "reached the end"
+    event = "stopped at an event"
+    too_many_steps = "too many steps within one output interval"
+    step_too_small = "the step became too small"
+    not_consistent = "no consistent start values found for the algebraic unknowns"
+    not_finite = "a value is not finite"
+    solver_failed = "the solver gave up"
+    unstable_across_reduction = "a motion left out of the minimal model is unstable"
+
+    @property
+    def ok(self) -> bool:
+        """Whether the trajectory is complete."""
+        return self in (Outcome.reached_end, Outcome.event)
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """Values of one quantity over time (n, ...) and its unit."""
+
+    values: np.ndarray
+    unit: str
+    components: tuple[str, ...] = ("",)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """States, inputs and outputs over time.
+
+    `trajectory["arm.position"]` is an array of shape (n, 3), `trajectory["arm.p_x"]` a state (n,),
+    `trajectory["pull"]` an input or a parameter. Outputs that nobody asked for yet are evaluated on
+    demand while the model is at hand; a saved file holds those that were.
+
+    Fields:
+        t: (n,) s, up to the failure if there was one.
+        columns: states, algebraic unknowns, inputs, and outputs evaluated so far.
+        outcome, report: how it ended, and the full sentence with time, state and advice.
+        stats: steps, evaluations, time in s.
+        parameters: values used.
+        digest: of the model.
+    """
+
+    name: str
+    t: np.ndarray
+    columns: dict[str, Column]
+    outcome: Outcome
+    report: str
+    stats: Mapping[str, float]
+    parameters: Mapping[str, float]
+    states: tuple[str, ...]
+    digest: str
+    more: Callable[[str, Trajectory], Column] | None = field(default=None, repr=False)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.column(name).values
+
+    def __contains__(self, name: str) -> bool:
+        try:
+            self.column(name)
+        except ValueError:
+            return False
+        return True
+
+    def column(self, name: str) -> Column:
+        """Values, unit and component names of a column, evaluated if needed.
+
+        Raises:
+            ValueError: no such column.
+        """
+        if name not in self.columns:
+            if name in self.parameters:
+                return Column(np.full(len(self.t), self.parameters[name]), "")
+            if self.more is None:
+                raise ValueError(
+                    f"trajectory '{self.name}': no column '{name}'; it holds "
+                    + ", ".join(self.columns)
+                )
+            self.columns[name] = self.more(name, self)
+        return self.columns[name]
+
+    @property
+    def state_at_end(self) -> dict[str, float]:
+        """Last value of each state and unknown by name, as `simulate(start=...)` takes it."""
+        return {name: float(self.columns[name].values[-1]) for name in self.states}
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write one .npz file (no pickle), whole or not at all; the folder must exist.
+
+        Raises:
+            ValueError: the file cannot be written.
+        """
+        target = Path(path)
+        target = target if target.suffix == ".npz" else target.with_name(target.name + ".npz")
+        header = {
+            "format": _FORMAT, "name": self.name, "outcome": self.outcome.name,
+            "report": self.report, "stats": dict(self.stats), "states": self.states,
+            "parameters": dict(self.parameters), "digest": self.digest,
+            "columns": [[key, c.unit, c.components] for key, c in self.columns.items()],
+        }  # fmt: skip
+        arrays = {f"column_{i}": c.values for i, c in enumerate(self.columns.values())}
+        try:
+            handle, temporary = tempfile.mkstemp(dir=target.parent, suffix=".part")
+        except OSError as error:
+            raise ValueError(
+                f"trajectory '{self.name}': cannot write to {target.parent} ({error.strerror}); "
+                "make the folder, or choose another"
+            ) from error
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez_compressed(
+                    file, False, header=np.array(json.dumps(header)), t=self.t, **arrays
+                )
+            os.replace(temporary, target)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+        return target
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Trajectory:
+        """Read what `save` wrote.
+
+        Raises:
+            ValueError: not such a file.
+        """
+        try:
+            with np.load(Path(path), allow_pickle=False) as file:
+                header = json.loads(str(file["header"]))
+                if header["format"] != _FORMAT:
+                    raise ValueError(f"format {header['format']}, this version reads {_FORMAT}")
+                columns = {
+                    name: Column(file[f"column_{i}"], unit, tuple(components))
+                    for i, (name, unit, components) in enumerate(header["columns"])
+                }
+                t = file["t"]
+        except (OSError, KeyError, ValueError) as error:
+            raise ValueError(f"{path}: no trajectory of rbsd_sym ({error})") from error
+        return Trajectory(
+            header["name"], t, columns, Outcome[header["outcome"]], header["report"],
+            header["stats"], header["parameters"], tuple(header["states"]), header["digest"],
+        )  # fmt: skip
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name}: {len(self.t)} points, t = {self.t[0]:.6g} ... {self.t[-1]:.6g} s; "
+            f"{self.report}"
+        )

@@ -1,0 +1,165 @@
+"""Published scenes against their values; each test says which integrator reaches them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import published_scenes as ps
+import pytest
+from published_scenes import Array
+
+import rbsd_sym as rs
+
+WEIGHT = ps.BRICARD_ENERGY  # energy of Bricard's linkage at the start, J
+
+
+def largest(difference: Any) -> float:
+    """Largest magnitude of any entry."""
+    return float(np.abs(difference).max())
+
+
+def point(trajectory: rs.Trajectory, body: str, local: Any) -> Array:
+    """World position (n, 3) of a point of a body."""
+    return trajectory[f"{body}.position"] + trajectory[f"{body}.rotation_matrix"] @ np.array(local)
+
+
+def world_spin(trajectory: rs.Trajectory, body: str) -> Array:
+    """Angular velocity (n, 3) in world axes."""
+    w_B = trajectory[f"{body}.angular_velocity"]
+    return np.einsum("nij,nj->ni", trajectory[f"{body}.rotation_matrix"], w_B)
+
+
+@pytest.mark.parametrize(
+    "integrator", [rs.Idas(1e-10, 1e-12), rs.Rosenbrock(1e-10, 1e-12), rs.ExplicitRK(1e-10, 1e-12)],
+    ids=lambda integrator: type(integrator).__name__,
+)  # fmt: skip
+def test_mini_closed_form(integrator: Any) -> None:
+    trajectory = rs.simulate(rs.compile_scene(ps.mini()), 1.0, integrator)
+    assert trajectory["body.position"][-1, 1] == pytest.approx(ps.MINI_Y, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    "integrator", [rs.Idas(1e-12, 1e-13), rs.Rosenbrock(1e-11, 1e-13), rs.ExplicitRK(1e-11, 1e-13)],
+    ids=lambda integrator: type(integrator).__name__,
+)  # fmt: skip
+def test_user_force(integrator: Any) -> None:
+    trajectory = rs.simulate(rs.compile_scene(ps.user_force()), [0, *ps.USER_FORCE_R], integrator)
+    r = point(trajectory, "body", [0.1, 0.1, 0.1])[1:, :2].sum(axis=1)
+    assert largest(r - list(ps.USER_FORCE_R.values())) < 1e-10
+
+
+@pytest.mark.parametrize("body_first", [False, True])
+def test_intrinsic_displacement_does_not_depend_on_marker_order(body_first: bool) -> None:
+    model = rs.compile_scene(ps.brick_on_ground(rs.Intrinsic(), body_first))
+    times = [0, *ps.INTRINSIC_DISPLACEMENT]
+    trajectory = rs.simulate(model, times, rs.ExplicitRK(1e-11, 1e-12))
+    expected = list(ps.INTRINSIC_DISPLACEMENT.values())
+    assert largest(trajectory["body.displacement"][1:] - expected) < 1e-9
+
+
+@pytest.mark.parametrize("body_first", [False, True])
+def test_standard_centre_depends_on_marker_order(body_first: bool) -> None:
+    """The two orders end 0.03 m apart."""
+    model = rs.compile_scene(ps.brick_on_ground(rs.Standard(), body_first))
+    trajectory = rs.simulate(model, 1.0, rs.ExplicitRK(1e-11, 1e-12))
+    assert largest(trajectory["body.position"][-1] - ps.STANDARD_CENTRE[body_first]) < 1e-9
+
+
+@pytest.mark.parametrize(
+    "integrator", [rs.ExplicitRK(1e-13, 1e-14), rs.Idas(1e-14, 1e-14)],
+    ids=lambda integrator: type(integrator).__name__,
+)  # fmt: skip
+def test_intrinsic_pair(integrator: Any) -> None:
+    """The pair amplifies a start perturbation by up to 4e7, hence the tolerances near epsilon."""
+    model = rs.compile_scene(ps.brick_pair(rs.Intrinsic()))
+    trajectory = rs.simulate(model, [0, 1.0], integrator)
+    w = world_spin(trajectory, "first")[-1]
+    assert largest(w - ps.INTRINSIC_PAIR_SPIN) < 1e-7 * np.linalg.norm(w)
+    assert trajectory["energy"] == pytest.approx(np.array([628.054, 622.024]), abs=6e-4)
+    moment = np.linalg.norm(trajectory["angular_momentum"], axis=1)
+    assert moment[0] < 1e-12  # 20 kg at 1 m, 170 kg m2/s of spin that cancels
+    assert moment[1] == pytest.approx(0.1963, abs=6e-5)
+
+
+def p3(trajectory: rs.Trajectory) -> Array:
+    """Start of Bricard's rod 3 (n, 3)."""
+    return point(trajectory, "rod3", [-0.5, 0, 0])
+
+
+def test_bricard() -> None:
+    """Undamped modes at 3.5e3 rad/s, so an explicit method is as good as any."""
+    model = rs.compile_scene(ps.bricard())
+    trajectory = rs.simulate(model, np.linspace(0, 0.5, 51), rs.ExplicitRK(1e-9, 1e-10))
+    for t, expected in ps.BRICARD_P3.items():
+        assert largest(p3(trajectory)[round(t / 0.01)] - expected) < 1e-8
+    assert largest(trajectory["energy"] - trajectory["energy"][0]) < 4e-8 * WEIGHT
+    assert trajectory["energy"][0] == pytest.approx(-WEIGHT, rel=1e-12)
+
+
+def test_bricard_rosenbrock() -> None:
+    trajectory = rs.simulate(rs.compile_scene(ps.bricard()), [0, 0.1], rs.Rosenbrock(1e-9, 1e-10))
+    assert largest(p3(trajectory)[-1] - ps.BRICARD_P3[0.1]) < 1e-8
+
+
+def wrong_hinges(k: float) -> rs.Model:
+    """Bricard's linkage with the free axis on local x; the build warns for every hinge."""
+    with pytest.warns(rs.ModelWarning, match="soft rotation axis, local x") as caught:
+        model = rs.compile_scene(ps.bricard(k, free="x"))
+    assert len(caught) == 6
+    return model
+
+
+def blows_up(k: float, before: float, at: float) -> None:
+    """Energy within 1 % until `before`, more than a hundred times the start's near `at`."""
+    times = [0, before, at]
+    trajectory = rs.simulate(wrong_hinges(k), times, rs.ExplicitRK(1e-9, 1e-10))
+    change = np.abs(trajectory["energy"] - trajectory["energy"][0]) / WEIGHT
+    assert change[1] < 1e-2
+    assert change[2] > 100
+
+
+def test_bricard_with_hinges_about_local_x_blows_up() -> None:
+    blows_up(1e6, 0.35, 0.46)
+
+
+@pytest.mark.parametrize(("at", "pivot_times"), [
+    (1.0, [0, 1.0]), pytest.param(2.0, [0, 2.0], marks=pytest.mark.slow),
+])  # fmt: skip
+def test_heavy_top(at: float, pivot_times: list[float]) -> None:
+    """Undamped pivot at 2e4 rad/s: 140,000 explicit steps a second."""
+    model = rs.compile_scene(ps.heavy_top())
+    trajectory = rs.simulate(model, pivot_times, rs.ExplicitRK(1e-9, 1e-10))
+    assert largest(trajectory["top.position"][-1] - ps.HEAVY_TOP_CENTRE[at]) < 1e-7
+
+
+def governor() -> rs.Model:
+    """The flyball governor; its shaft-rod hinges turn about local y, which warns."""
+    with pytest.warns(rs.ModelWarning, match="soft rotation axis, local y") as caught:
+        model = rs.compile_scene(ps.governor())
+    assert len(caught) == 2
+    return model
+
+
+def test_governor_stiffest_mode() -> None:
+    model = governor()
+    start = [label.start for label in model.x_labels]
+    modes = np.linalg.eigvals(np.array(model.function("dode_dx")(0, start, [], [], [])))
+    assert np.abs(modes).max() == pytest.approx(ps.GOVERNOR_STIFFEST, rel=5e-4)
+
+
+@pytest.mark.parametrize(
+    "integrator", [rs.ExplicitRK(1e-9, 1e-10), rs.Rosenbrock(1e-9, 1e-10)],
+    ids=lambda integrator: type(integrator).__name__,
+)  # fmt: skip
+def test_governor_start(integrator: Any) -> None:
+    trajectory = rs.simulate(governor(), [0, 0.001, 0.1], integrator)
+    for i, t in ((1, 0.001), (2, 0.1)):
+        assert abs(trajectory["rod0.v_y"][i] - ps.GOVERNOR_SPEED[t]) < 1e-8
+    assert abs(trajectory["slider.position"][2, 2] - ps.GOVERNOR_HEIGHT[0.1]) < 1e-8
+
+
+def test_governor() -> None:
+    trajectory = rs.simulate(governor(), [0, 1.0], rs.ExplicitRK(1e-9, 1e-10))
+    assert abs(trajectory["rod0.v_y"][-1] - ps.GOVERNOR_SPEED[1.0]) < 1e-6
+    assert abs(trajectory["slider.position"][-1, 2] - ps.GOVERNOR_HEIGHT[1.0]) < 1e-6
