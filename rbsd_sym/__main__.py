@@ -11,14 +11,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
-from . import plots
-from .exports import export_c
-from .formulations import ModelWarning, Quaternion, TaitBryan
-from .integrators import ExplicitRK, Idas, Rosenbrock
-from .model import Model
-from .pipeline import IntegrationError, compile_scene, simulate
-from .trajectory import Trajectory
+import rbsd_sym as rs
 
 _EPILOG = """
 MODEL is a Python file that defines scene(); it may define T_END (s), COLUMNS (names to plot) and
@@ -30,7 +25,7 @@ examples:
   python -m rbsd_sym run models/mini.py --t-end 2 --columns body.position spring.force_local
   python -m rbsd_sym export models/engine_mounts.py         C code with header and model card
 """
-_INTEGRATORS = {"idas": Idas, "rosenbrock": Rosenbrock, "explicit": ExplicitRK}
+_INTEGRATORS = {"idas": rs.Idas, "rosenbrock": rs.Rosenbrock, "explicit": rs.ExplicitRK}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -46,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, TypeError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    except IntegrationError as error:
+    except rs.IntegrationError as error:
         _finish(options, error.trajectory, None)
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -100,7 +95,7 @@ def _run(options: argparse.Namespace) -> None:
     t_end = options.t_end if options.t_end is not None else getattr(file, "T_END", 1.0)
     integrator = _INTEGRATORS[options.integrator](rtol=options.rtol, atol=options.atol)
     with _progress(f"simulating {model.name} to t = {t_end:g} s with {type(integrator).__name__}"):
-        trajectory = simulate(
+        trajectory = rs.simulate(
             model,
             t_end,
             integrator,
@@ -110,13 +105,13 @@ def _run(options: argparse.Namespace) -> None:
     _finish(options, trajectory, getattr(file, "COLUMNS", None))
 
 
-def _finish(options: argparse.Namespace, trajectory: Trajectory, columns: object) -> None:
+def _finish(options: argparse.Namespace, trajectory: rs.Trajectory, columns: Any) -> None:
     """Save and draw what there is, also after a failure; print the end and the statistics."""
     folder = options.folder / trajectory.name
     folder.mkdir(parents=True, exist_ok=True)
     chosen = options.columns or columns or list(trajectory.states[:3])
     if len(trajectory.t) > 1:
-        figure = plots.trajectory(trajectory, list(chosen))  # type: ignore[call-overload]
+        figure = rs.plots.trajectory(trajectory, list(chosen))
         figure.savefig(folder / f"{trajectory.name}.png", dpi=120)
         print(f"wrote {folder / trajectory.name}.png")
     print(f"wrote {trajectory.save(folder / f'{trajectory.name}.npz')}")
@@ -127,7 +122,7 @@ def _finish(options: argparse.Namespace, trajectory: Trajectory, columns: object
 def _export(options: argparse.Namespace) -> None:
     _, model = _compile(options)
     with _progress(f"writing C of {model.name}"):
-        artefact = export_c(model, options.folder / model.name)
+        artefact = rs.export_c(model, options.folder / model.name)
     print(f"wrote {artefact.folder} with {', '.join(artefact.functions)}")
 
 
@@ -144,13 +139,13 @@ def _settings(pairs: list[str]) -> dict[str, float]:
     return settings
 
 
-def _compile(options: argparse.Namespace) -> tuple[ModuleType, Model]:
+def _compile(options: argparse.Namespace) -> tuple[ModuleType, rs.Model]:
     file = load_model_file(options.model)
-    formulation = TaitBryan() if options.tait_bryan else Quaternion()
+    formulation = rs.TaitBryan() if options.tait_bryan else rs.Quaternion()
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ModelWarning)
+        warnings.simplefilter("always", rs.ModelWarning)
         with _progress(f"compiling {options.model}"):
-            model = compile_scene(file.scene(), formulation)
+            model = rs.compile_scene(file.scene(), formulation)
     for warning in caught:
         print(f"warning: {warning.message}", file=sys.stderr)
     return file, model

@@ -6,13 +6,13 @@ W, w_WA_W is the angular velocity of A in W with components in W, f_A_W a force 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 
 from .rotation import cross, dot3, quat_product
 
-Expr = ca.SX
+Expr: TypeAlias = ca.SX
 
 
 class Frame(NamedTuple):

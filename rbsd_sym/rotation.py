@@ -87,11 +87,18 @@ def quat_rate(q_WB: Any, w_WB_B: Any) -> Any:
     return quat_product(q_WB, ca.vertcat(0, w_WB_B)) / 2
 
 
-def _upper(q: Any) -> tuple[Any, Any, Any]:
-    """(w, v, norm) of the quaternion of the same rotation with w >= 0."""
-    sign = 2 * (q[0] >= 0) - 1
-    norm = ca.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    return sign * q[0], sign * q[1:4], norm
+def quat_upper(q: Any) -> Any:
+    """The unit quaternion with w >= 0 of the same rotation."""
+    scale = (2 * (q[0] >= 0) - 1) / ca.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    return ca.vertcat(*(scale * q[i] for i in range(4)))
+
+
+def quarter(q: Any) -> Any:
+    """u = tan(angle/4) axis of an upper unit quaternion, at most 1 long: v / (1 + w).
+
+    (1, u) is a quaternion of the half rotation; the logarithms are regular functions of u.
+    """
+    return q[1:4] / (1 + q[0])
 
 
 def _atan_remainder(y: Any) -> Any:
@@ -113,16 +120,18 @@ def _atan_remainder(y: Any) -> Any:
     return total
 
 
+def quarter_log(u: Any) -> Any:
+    """Rotation vector (3, 1) of u = tan(angle/4) axis: 4 atan(|u|) u / |u|."""
+    y = dot3(u, u)
+    return 4 * (1 - y * _atan_remainder(y)) * u
+
+
 def quat_log(q: Any) -> Any:
     """Rotation vector (3, 1), angle 0 ... pi, of a quaternion of any norm and either sign.
 
-    th = 4 atan(t) v / |v| with t = tan(angle/4) = |v| / (w + |q|), which never exceeds 1
     [Sola 2018, eq. 105, with half angles]; it jumps at the angle pi.
     """
-    w, v, norm = _upper(q)
-    v = v / (w + norm)
-    y = dot3(v, v)
-    return 4 * (1 - y * _atan_remainder(y)) * v
+    return quarter_log(quarter(quat_upper(q)))
 
 
 def quat_exp(th: Any) -> Any:
@@ -142,8 +151,7 @@ def quat_exp(th: Any) -> Any:
 
 def quat_half(q: Any) -> Any:
     """A quaternion of the half rotation, exp(log(q) / 2), for angles up to pi; no trigonometry."""
-    w, v, norm = _upper(q)
-    return ca.vertcat(w + norm, v)
+    return ca.vertcat(1, quarter(quat_upper(q)))
 
 
 def se3_log(p: Any, q: Any) -> tuple[Any, Any]:
@@ -153,12 +161,11 @@ def se3_log(p: Any, q: Any) -> tuple[Any, Any]:
     [Sola, Deray, Atchuthan 2018, eq. 174 and 176]. With t = tan(a/4), A = atan(t)/t and
     C = (1 - A)/t^2 it is B = (A + C) / (16 A^2), regular from 0 to pi.
     """
-    w, v, norm = _upper(q)
-    v = v / (w + norm)
-    y = dot3(v, v)
+    u = quarter(quat_upper(q))
+    y = dot3(u, u)
     c = _atan_remainder(y)
     a = 1 - y * c
-    th = 4 * a * v
+    th = 4 * a * u
     th_p = cross(th, p)
     return p - th_p / 2 + (a + c) / (16 * a * a) * cross(th, th_p), th
 

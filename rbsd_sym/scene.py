@@ -106,9 +106,7 @@ def _check_mass(where: str, mass: np.ndarray, inertia: np.ndarray) -> None:
         if mass < 0:
             raise ValueError(f"{where}: mass {mass} kg; it is positive (or 0 without inertia)")
         if mass == 0 and (symbolic or np.any(inertia != 0)):
-            raise ValueError(
-                f"{where}: mass 0 kg with inertia; give a mass, or inertia=0"
-            )
+            raise ValueError(f"{where}: mass 0 kg with inertia; give a mass, or inertia=0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,6 +325,11 @@ class Scene:
                     "make one Param or Input and use it in every place ('t' is the time)"
                 )
 
+    @property
+    def elements(self) -> tuple[Any, ...]:
+        """Bodies, connectors and loads."""
+        return (*self.bodies, *self.connectors, *self.loads)
+
     @cached_property
     def traced(self) -> tuple[TracedForce | None, ...]:
         """The user forces, traced once with symbols; one entry a connector."""
@@ -341,7 +344,7 @@ class Scene:
     def leaves(self) -> tuple[Leaf, ...]:
         """Every Param, Input and TIME used, by name."""
         found = leaves_of(self.gravity)
-        for item in (*self.bodies, *self.connectors, *self.loads):
+        for item in self.elements:
             for entry in fields(item):
                 value = getattr(item, entry.name)
                 found |= leaves_of(
@@ -366,7 +369,7 @@ class Scene:
         """Canonical text of all that determines the model; drawing attributes are left out."""
         lines = [f"scene {self.name}", f"gravity {_text(self.gravity)}", f"outputs {self.outputs}"]
         lines += [f"{type(v).__name__} {v.name} {v.value!r} {v.unit}" for v in self.leaves]
-        for item in (*self.bodies, *self.connectors, *self.loads):
+        for item in self.elements:
             parts = (
                 f"{f.name}={_text(getattr(item, f.name))}"
                 for f in fields(item)

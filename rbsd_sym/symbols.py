@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Union
+from typing import Any, TypeAlias, Union
 
 import casadi as ca
 import numpy as np
 
-Expr = ca.SX
+Expr: TypeAlias = ca.SX
 
 
 class Scalar:
@@ -249,7 +249,7 @@ def to_expr(value: Any) -> Expr:
 
 def to_array(expr: Expr) -> np.ndarray:
     """An SX as an object array of `Scalar`; a column becomes one-dimensional."""
-    out = np.empty(expr.shape, dtype=object)
+    out: np.ndarray = np.empty(expr.shape, dtype=object)
     for i in range(expr.shape[0]):
         for j in range(expr.shape[1]):
             out[i, j] = Scalar(ca.SX(expr[i, j]))

@@ -144,7 +144,10 @@ class Trajectory:
             "parameters": dict(self.parameters), "digest": self.digest,
             "columns": [[key, c.unit, c.components] for key, c in self.columns.items()],
         }  # fmt: skip
-        arrays = {f"column_{i}": c.values for i, c in enumerate(self.columns.values())}
+        arrays: dict[str, Any] = {
+            f"column_{i}": c.values for i, c in enumerate(self.columns.values())
+        }
+        arrays |= {"header": np.array(json.dumps(header)), "t": self.t}
         try:
             handle, temporary = tempfile.mkstemp(dir=target.parent, suffix=".part")
         except OSError as error:
@@ -154,9 +157,7 @@ class Trajectory:
             ) from error
         try:
             with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(
-                    file, False, header=np.array(json.dumps(header)), t=self.t, **arrays
-                )
+                np.savez_compressed(file, allow_pickle=False, **arrays)
             os.replace(temporary, target)
         except BaseException:
             os.unlink(temporary)

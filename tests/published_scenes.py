@@ -236,6 +236,18 @@ def governor() -> rs.Scene:
     return rs.Scene("governor", bodies, connectors, gravity=[0, 0, -9.81])
 
 
-GOVERNOR_SPEED = {0.001: 0.896248877910944869, 0.1: 0.865486638927913772, 1.0: -0.903124289663356422}
+GOVERNOR_SPEED = {
+    0.001: 0.896248877910944869, 0.1: 0.865486638927913772, 1.0: -0.903124289663356422,
+}  # fmt: skip
 GOVERNOR_STIFFEST = 2.789e4
 GOVERNOR_HEIGHT = {0.1: 0.461062144488478686, 1.0: 0.485000928413884402}
+
+
+def tumbling(e: float) -> rs.Scene:
+    """A free body that spins nearly about its intermediate axis."""
+    body = rs.RigidBody("body", 1.0, [1.0, 2.0, 3.0], angular_velocity=[e, 1, e])
+    return rs.Scene("tumbling", [body], [])
+
+
+TUMBLING_HALF_PERIOD = {0.1: 11.4981314720612743, 0.01: 19.5528670986343604,
+                        0.001: 27.530840553733186}

@@ -111,8 +111,9 @@ class ConnectorWriter:
         if key not in self.cache:
             x = ca.SX.sym("x", self.kind.n_bodies * self.layout.size)
             c = ca.SX.sym("c", self.constants.numel())
-            build = self._build_rates if quantity is None else self._build_measure
-            self.cache[key] = build(x, c, quantity)
+            self.cache[key] = (
+                self._build_measure(x, c, quantity) if quantity else self._build_rates(x, c)
+            )
         return self.cache[key]
 
     def _see(self, x: ca.SX, c: ca.SX) -> _Sight:
@@ -134,7 +135,7 @@ class ConnectorWriter:
         response = respond(kind.law, numbers, TIME.expr, *motions)
         return _Sight((response, bodies, markers, motions))
 
-    def _build_rates(self, x: ca.SX, c: ca.SX, _: None) -> ca.Function:
+    def _build_rates(self, x: ca.SX, c: ca.SX) -> ca.Function:
         response, bodies, markers, _motions = self._see(x, c)
         rates, first = [ca.SX.zeros(6)] * len(bodies), 2 * MARKER + _NUMBERS
         for place, marker, wrench in zip(

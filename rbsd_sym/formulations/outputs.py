@@ -95,8 +95,9 @@ class OutputWriter:
         x = ca.SX.sym("x", self.layout.size * len(scene.bodies))
         columns = [to_expr(scene.gravity), *(body_column(body) for body in scene.bodies)]
         stored, symbols = ca.SX(0), []
-        for writer in self.connectors if q.of_connectors else ():
-            function, column = writer.measure(q.of_connectors)
+        summed = q.of_connectors
+        for writer, part in ((w, summed) for w in self.connectors if summed is not None):
+            function, column = writer.measure(part)
             columns.append(column)
             symbols.append(ca.SX.sym("c", column.numel()))
             stored += function(0, x[list(writer.reads)], ca.SX(0, 1), symbols[-1])

@@ -113,10 +113,10 @@ def _evaluate(integrator: ca.Function, experiment: Experiment) -> Run:
     kept = {key: np.ascontiguousarray(value, float) for key, value in arguments.items()}
     for key, value in kept.items():
         if value.size:
-            buffer.set_arg(integrator.index_in(key), memoryview(value))
+            buffer.set_arg(integrator.index_in(key), value.data)
     for key, value in results.items():
         if value.size:
-            buffer.set_res(integrator.index_out(key), memoryview(value))
+            buffer.set_res(integrator.index_out(key), value.data)
     messages, failed = io.StringIO(), False
     with contextlib.redirect_stderr(messages), contextlib.redirect_stdout(messages):
         try:

@@ -8,7 +8,15 @@ from typing import ClassVar
 import casadi as ca
 
 from ..mechanics import Motion, Wrench
-from ..rotation import cross, quat_conjugate, quat_half, quat_log, quat_matrix, quat_product
+from ..rotation import (
+    cross,
+    quarter,
+    quarter_log,
+    quat_conjugate,
+    quat_matrix,
+    quat_product,
+    quat_upper,
+)
 from .base import Relative
 
 
@@ -43,14 +51,14 @@ class Consistent:
         R_WA = motion0.frame.R_WA
         lever = motion1.frame.p_WA - motion0.frame.p_WA
         p_AC = R_WA.T @ lever
-        q_AC = quat_product(quat_conjugate(motion0.frame.q_WA), motion1.frame.q_WA)
+        q_AC = quat_upper(quat_product(quat_conjugate(motion0.frame.q_WA), motion1.frame.q_WA))
         v_AC = R_WA.T @ (motion1.v_WA - motion0.v_WA - cross(motion0.w_WA, lever))
         w_AC_A = R_WA.T @ (motion1.w_WA - motion0.w_WA)
 
         step = ca.SX.sym("step", 6)  # a small motion of C in A: translation, then turn
-        turned = quat_product(ca.vertcat(1, step[3:] / 2), q_AC)
-        half = quat_matrix(quat_half(turned))
-        strain = ca.vertcat(half.T @ (p_AC + step[:3]), quat_log(turned))
+        u = quarter(quat_product(ca.vertcat(1, step[3:] / 2), q_AC))
+        R_AM = quat_matrix(ca.vertcat(1, u))
+        strain = ca.vertcat(R_AM.T @ (p_AC + step[:3]), quarter_log(u))
         still = ca.SX.zeros(6)
         rate = ca.substitute(ca.jtimes(strain, step, ca.vertcat(v_AC, w_AC_A)), step, still)
 

@@ -1,0 +1,23 @@
+"""Options of the test run, and a cache of compiled libraries that is not the user's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--update-golden", action="store_true", help="rewrite the specimens under generated/"
+    )
+
+
+@pytest.fixture(autouse=True, scope="session")
+def library_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Compiled libraries of the tests go to a folder of their own."""
+    folder = tmp_path_factory.mktemp("libraries")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RBSD_SYM_CACHE", str(folder))
+        yield folder

@@ -1,0 +1,72 @@
+"""Speed, printed and never asserted: run `pytest -m benchmark -s`."""
+
+from __future__ import annotations
+
+import shutil
+import statistics
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+import reference_scenes
+
+import rbsd_sym as rs
+
+pytestmark = pytest.mark.benchmark
+
+_LOOP = """
+#define _POSIX_C_SOURCE 199309L
+#include <stdio.h>
+#include <time.h>
+#include "NAME.h"
+int main(void) {
+  double x[NX], rates[NX], sum = 0;
+  NAME_defaults(x, 0, 0, 0);
+  struct timespec a, b;
+  clock_gettime(CLOCK_MONOTONIC, &a);
+  for (int i = 0; i < CALLS; ++i) {
+    NAME_FUNCTION(0, x, 0, 0, 0, rates);
+    sum += rates[NX - 1];
+    x[0] += 1e-9 * sum; /* so that no call can be left out */
+  }
+  clock_gettime(CLOCK_MONOTONIC, &b);
+  printf("%g %g\\n", ((b.tv_sec - a.tv_sec) * 1e9 + (b.tv_nsec - a.tv_nsec)) / CALLS, sum);
+  return 0;
+}
+"""
+
+
+def nanoseconds_in_c(model: rs.Model, folder: Path, calls: int = 1_000_000) -> float:
+    """Median over 7 runs of the time of one call of the exported rates, compiled with -O2."""
+    rs.export_c(model, folder, ["ode"])
+    text = _LOOP.replace("NAME_FUNCTION", f"{model.name}_ode").replace("NAME", model.name)
+    text = text.replace("NX", str(model.n_x)).replace("CALLS", str(calls))
+    (folder / "loop.c").write_text(text)
+    command = ["cc", "-O2", "-std=c99", "loop.c", f"{model.name}.c", "-lm", "-o", "loop"]
+    subprocess.run(command, cwd=folder, check=True)
+    runs = [subprocess.run(["./loop"], cwd=folder, capture_output=True, text=True, check=True)
+            for _ in range(7)]  # fmt: skip
+    return statistics.median(float(run.stdout.split()[0]) for run in runs)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize("name", ["single", "single_consistent", "coupled"])
+def test_rates_of_one_body_and_connector(name: str, tmp_path: Path) -> None:
+    model = rs.compile_scene(reference_scenes.build(name))
+    took = nanoseconds_in_c(model, tmp_path / name)
+    print(f"\nrates of {name}, compiled C: {took:.0f} ns a call (goal: below 250)")
+    assert took > 0
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8])
+def test_mini_by_idas(rtol: float) -> None:
+    model = rs.compile_scene(reference_scenes.build("mini"))
+    integrator = rs.Idas(rtol=rtol, atol=rtol * 1e-2)
+    times = []
+    for _ in range(11):
+        started = time.perf_counter()
+        rs.simulate(model, 1.0, integrator)
+        times.append(time.perf_counter() - started)
+    print(f"\nmini by IDAS at rtol {rtol:g}: {1e3 * statistics.median(times):.2f} ms (goal: below 5)")
+    assert min(times) > 0

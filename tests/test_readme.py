@@ -1,0 +1,122 @@
+"""Every Python block of the README runs, its C block compiles, and every file in models/ runs."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rbsd_sym as rs
+from rbsd_sym import __main__ as command_line
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+MODELS = sorted((ROOT / "models").glob("*.py"))
+
+
+def blocks(language: str) -> list[str]:
+    """Code blocks of the README in a language."""
+    return re.findall(rf"```{language}\n(.*?)```", README, re.S)
+
+
+def test_python_and_c_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, object] = {}
+    for block in blocks("python"):
+        exec(compile(block, "README.md", "exec"), namespace)
+    trajectory = namespace["trajectory"]
+    assert isinstance(trajectory, rs.Trajectory)
+    assert trajectory.outcome is rs.Outcome.reached_end
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    include, body = blocks("c")[0].split("\n", 1)
+    program = (
+        f"#include <stdio.h>\n{include}\nint main(void) {{\n{body}\n"
+        '  printf("%.17g", rates[SWING_X_ARM_V_Y]);\n  return 0;\n}\n'
+    )
+    folder = tmp_path / "generated" / "swing"
+    (folder / "main.c").write_text(program)
+    build = ["cc", "-std=c99", "main.c", "swing.c", "-lm", "-o", "main"]
+    subprocess.run(build, cwd=folder, check=True)
+    printed = subprocess.run(["./main"], cwd=folder, capture_output=True, text=True, check=True)
+    model = namespace["model"]
+    assert isinstance(model, rs.Model)
+    x = [label.start for label in model.x_labels]
+    expected = model.function("ode")(0, x, [], [5.0], [2e4])
+    row = [label.name for label in model.x_labels].index("arm.v_y")
+    # At the start the arm hangs straight, so only the push of 5 N on 2 kg moves it sideways.
+    assert float(printed.stdout) == pytest.approx(float(expected[row]), rel=1e-15)
+    assert float(printed.stdout) == pytest.approx(2.5, rel=1e-12)
+
+
+@pytest.mark.parametrize("path", MODELS, ids=lambda p: p.stem)
+def test_models_run_and_export(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = ["--folder", str(tmp_path)]
+    assert command_line.main(["info", str(path)]) == 0
+    assert "states kept" in capsys.readouterr().out
+    assert command_line.main(["run", str(path), *folder]) == 0
+    assert "reached the end" in capsys.readouterr().out
+    assert command_line.main(["export", str(path), *folder]) == 0
+    saved = rs.Trajectory.load(next(tmp_path.glob("*/*.npz")))
+    assert saved.outcome is rs.Outcome.reached_end
+    for suffix in ("png", "h", "c"):
+        assert list(tmp_path.glob(f"*/*.{suffix}")), suffix
+
+
+def test_models_cover_what_the_readme_says() -> None:
+    assert {path.stem for path in MODELS} == {
+        "chain", "engine_mounts", "mini", "pair", "user_force",
+    }  # fmt: skip
+
+
+def test_command_line_errors_are_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command_line.main(["info", str(tmp_path / "none.py")]) == 1
+    assert "no such file" in capsys.readouterr().err
+    empty = tmp_path / "empty.py"
+    empty.write_text("x = 1\n")
+    assert command_line.main(["run", str(empty)]) == 1
+    assert "scene()" in capsys.readouterr().err
+    mini = str(ROOT / "models" / "mini.py")
+    assert command_line.main(["run", mini, "--t-end", "-1"]) == 1
+    assert "positive" in capsys.readouterr().err
+    assert command_line.main(["run", mini, "--set", "k"]) == 1
+    assert "NAME=VALUE" in capsys.readouterr().err
+    assert command_line.main(["run", mini, "--columns", "body.speed"]) == 1
+    assert "body.speed" in capsys.readouterr().err
+
+
+def test_a_failed_run_keeps_what_it_reached(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "blow_up.py"
+    source.write_text(
+        "import rbsd_sym as rs\n"
+        "def force(mbs, t, i, u, th, v, w, k, d, R0, R1, offset):\n"
+        "    return [-u[0] ** 3 - 1000 * v[0] ** 2, 0, 0, 0, 0, 0]\n"
+        "def scene():\n"
+        "    b = rs.RigidBody('b', 1, (1, 1, 1), velocity=(1, 0, 0))\n"
+        "    c = rs.RigidBodySpringDamper('c', rs.Marker(rs.GROUND), rs.Marker('b'), 0, force=force)\n"
+        "    return rs.Scene('blow_up', [b], [c])\n"
+    )
+    assert command_line.main(["run", str(source), "--folder", str(tmp_path)]) == 1
+    assert "last saved state" in capsys.readouterr().err
+    kept = rs.Trajectory.load(tmp_path / "blow_up" / "blow_up.npz")
+    assert not kept.outcome.ok
+    assert 0 < kept.stats["t_failed"] < 1.1e-3  # v' = 1000 v^2 from 1 m/s has its pole at 1 ms
+
+
+def test_help_teaches() -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "rbsd_sym", "--help"], cwd=ROOT, capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    assert "scene()" in result.stdout
+    assert "examples" in result.stdout
