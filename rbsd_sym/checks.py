@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .symbols import Scalar, is_number
+from .symbols import Scalar, default_values, is_number, leaves_of, to_expr
 
 _EPS = float(np.finfo(float).eps)
 _ROTATION_TOLERANCE = 1e-9  # larger than rounding of any textbook construction of a rotation
@@ -43,6 +43,13 @@ def numbers(value: Any, shape: tuple[int, ...], where: str, unit: str = "") -> n
 def is_symbolic(array: np.ndarray) -> bool:
     """Whether any entry is a symbol."""
     return array.dtype == object
+
+
+def at_default(array: np.ndarray) -> np.ndarray:
+    """The array as floats, every symbol at its default value."""
+    if not is_symbolic(array):
+        return array
+    return default_values(to_expr(array), leaves_of(array)).reshape(array.shape)
 
 
 def matrix6(value: Any, where: str) -> np.ndarray:
@@ -141,8 +148,7 @@ def inertia(value: Any, where: str) -> np.ndarray:
             "(Ixx, Iyy, Izz, Iyz, Ixz, Ixy)"
         )
     matrix = numbers(array, (3, 3), where, "kg m2")
-    if not is_symbolic(matrix):
-        _check_inertia(matrix, where)
+    _check_inertia(at_default(matrix), where)
     return matrix
 
 

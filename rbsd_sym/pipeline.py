@@ -49,15 +49,22 @@ class IntegrationError(RuntimeError):
         self.trajectory = trajectory
 
 
-def compile_scene(scene: Scene, formulation: Formulation | None = None) -> Model:
+def compile_scene(
+    scene: Scene, formulation: Formulation | None = None, minimal: bool = False
+) -> Model:
     """The model of a scene.
 
     Arguments:
         formulation: coordinates, `Quaternion()` by default.
+        minimal: leave out what cannot move; not available yet.
 
     Raises:
         ValueError: the scene cannot be written in these coordinates.
     """
+    if minimal:
+        raise ValueError(
+            f"scene '{scene.name}': minimal models are not available yet; use minimal=False"
+        )
     return derive((formulation or Quaternion()).write(scene))
 
 

@@ -94,7 +94,7 @@ def quat_upper(q: Any) -> Any:
 
 
 def quarter(q: Any) -> Any:
-    """u = tan(angle/4) axis of an upper unit quaternion, at most 1 long: v / (1 + w).
+    """Vector u = tan(angle/4) axis of an upper unit quaternion, at most 1 long: v / (1 + w).
 
     (1, u) is a quaternion of the half rotation; the logarithms are regular functions of u.
     """

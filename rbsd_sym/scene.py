@@ -101,12 +101,11 @@ class RigidBody:
 
 
 def _check_mass(where: str, mass: np.ndarray, inertia: np.ndarray) -> None:
-    symbolic = checks.is_symbolic(inertia)
-    if not checks.is_symbolic(mass):
-        if mass < 0:
-            raise ValueError(f"{where}: mass {mass} kg; it is positive (or 0 without inertia)")
-        if mass == 0 and (symbolic or np.any(inertia != 0)):
-            raise ValueError(f"{where}: mass 0 kg with inertia; give a mass, or inertia=0")
+    value = float(checks.at_default(mass))
+    if value < 0:
+        raise ValueError(f"{where}: mass {value} kg; it is positive (or 0 without inertia)")
+    if value == 0 and np.any(checks.at_default(inertia) != 0):
+        raise ValueError(f"{where}: mass 0 kg with inertia; give a mass, or inertia=0")
 
 
 @dataclass(frozen=True, eq=False)

@@ -241,6 +241,8 @@ def to_expr(value: Any) -> Expr:
     if isinstance(value, Scalar):
         return value.expr
     array = np.asarray(value)
+    if array.ndim == 0 and array.dtype == object:
+        return to_expr(array.item())
     if array.dtype != object:
         return ca.SX(ca.DM(array.astype(float)))
     rows = np.atleast_2d(array.T).T if array.ndim == 1 else array

@@ -6,9 +6,8 @@ import warnings
 
 import numpy as np
 
-from ..checks import is_symbolic
+from ..checks import at_default
 from ..scene import RigidBodySpringDamper, Scene
-from ..symbols import default_values, leaves_of, to_expr
 
 _SOFT = 1e-2  # an axis softer than this, relative to the two others, is a hinge
 
@@ -31,18 +30,12 @@ def audit(scene: Scene) -> tuple[str, ...]:
             warnings.warn(trouble, ModelWarning, stacklevel=5)
             notes.append(trouble)
         for title in ("stiffness", "damping"):
-            notes += _definiteness(connector.name, title, _at_default(getattr(connector, title)))
+            notes += _definiteness(connector.name, title, at_default(getattr(connector, title)))
     return tuple(notes)
 
 
-def _at_default(matrix: np.ndarray) -> np.ndarray:
-    if not is_symbolic(matrix):
-        return matrix
-    return default_values(to_expr(matrix), leaves_of(matrix))
-
-
 def _wrong_hinge(connector: RigidBodySpringDamper) -> str:
-    stiffness = np.abs(np.diag(_at_default(connector.stiffness))[3:])
+    stiffness = np.abs(np.diag(at_default(connector.stiffness))[3:])
     for axis in connector.law.soft_axes_with_trouble:
         others = np.delete(stiffness, axis)
         if stiffness[axis] < _SOFT * others.min():

@@ -10,6 +10,7 @@ from collections.abc import Hashable
 import casadi as ca
 import numpy as np
 
+from ..checks import at_default
 from ..dae import Dae, Label, Part
 from ..mechanics import Wrench, gyroscopic
 from ..scene import GROUND, Load, RigidBody, Scene
@@ -120,15 +121,14 @@ def _load_kernel(layout: Layout, frame: str) -> ca.Function:
 
 
 def _check_has_inertia(body: RigidBody) -> None:
-    mass, inertia = body.mass, body.inertia
-    if isinstance(mass, float) and mass == 0:
+    if float(at_default(np.array(body.mass))) == 0:
         raise ValueError(
             f"body '{body.name}': mass 0 kg; bodies without mass are not available yet; give it a "
             "small mass and inertia"
         )
-    if inertia.dtype != object and np.linalg.eigvalsh(inertia)[0] <= 0:
+    smallest = float(np.linalg.eigvalsh(at_default(body.inertia))[0])
+    if smallest <= 0:
         raise ValueError(
-            f"body '{body.name}': inertia has the principal value "
-            f"{np.linalg.eigvalsh(inertia)[0]:.3g} kg m2; the equations divide by it; give a "
-            "positive inertia about every axis"
+            f"body '{body.name}': inertia has the principal value {smallest:.3g} kg m2; the "
+            "equations divide by it; give a positive inertia about every axis"
         )

@@ -68,14 +68,15 @@ def _integrator(
     key = ("integrator", plugin, repr(sorted(options.items())), experiment.t.tobytes(), constant,
            tuple(id(s) for s in varying))  # fmt: skip
     if key not in model.memo:
-        dae = _dae(model, experiment.inputs)
+        kept: list[Any] = list(varying)  # as long as the integrator, so that ids stay theirs
+        dae = _dae(model, experiment.inputs, kept)
         grid = [float(t) for t in experiment.t]
         function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
-        model.memo[key] = (function, varying)  # the signals are kept, so that ids stay theirs
+        model.memo[key] = (function, kept)
     return model.memo[key][0]
 
 
-def _dae(model: Model, inputs: tuple[Signal, ...]) -> dict[str, Any]:
+def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str, Any]:
     """CasADi's DAE: constant inputs are parameters after p, the others functions of time."""
     dae = model.dae
     traced = [symbolic(signal, dae.t) for signal in inputs]
@@ -94,7 +95,7 @@ def _dae(model: Model, inputs: tuple[Signal, ...]) -> dict[str, Any]:
             entries.append(q[place])
             place += 1
         else:
-            entries.append(evaluate(signal, t))
+            entries.append(evaluate(signal, t, kept))
     u = ca.vertcat(*entries)
     arguments = (t, x, z, u, q[: model.n_p])
     return {"t": t, "x": x, "z": z, "p": q, "ode": model.function("ode")(*arguments),

@@ -31,18 +31,19 @@ def symbolic(signal: Signal, t: ca.SX) -> ca.SX | None:
     return to_expr(value) if is_number(value) else None
 
 
-def evaluate(signal: Signal, t: ca.MX) -> ca.MX:
-    """The input at time t in an MX graph: interpolated samples, or a call back into Python."""
+def evaluate(signal: Signal, t: ca.MX, kept: list[Any]) -> ca.MX:
+    """The input at time t in an MX graph: interpolated samples, or a call back into Python.
+
+    Arguments:
+        kept: is given what must live as long as the graph, since CasADi holds no reference to it.
+    """
     if isinstance(signal, Samples):
         times, values = [float(v) for v in signal.t], [float(v) for v in signal.values]
         table = ca.interpolant("samples", "linear", [times], values)
         return table(ca.fmin(ca.fmax(t, times[0]), times[-1]))
     call = _Call(signal)  # type: ignore[arg-type]
-    _KEPT.append(call)  # CasADi holds no reference to a Callback of Python
+    kept.append(call)
     return call(t)
-
-
-_KEPT: list[Any] = []
 
 
 class _Call(ca.Callback):
