@@ -14,6 +14,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from .zeros import fold
+
 
 @dataclass(frozen=True)
 class Label:
@@ -66,6 +68,33 @@ class Output:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """Where a rotation lives: rows of a quaternion (w, x, y, z) and of its angular velocity.
+
+    The angular velocity is in axes that turn along: q' = q (0, w) / 2.
+    """
+
+    name: str
+    quaternion: tuple[int, int, int, int]
+    velocity: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """The way back from a reduced model: the states of the full scene.
+
+    Arguments:
+        states: each full state as an expression of x and p.
+        labels: their names, units and start values.
+        rows: for each full state its row in ode, None for one that is left out.
+    """
+
+    states: ca.SX
+    labels: tuple[Label, ...]
+    rows: tuple[int | None, ...]
+
+
+@dataclass(frozen=True)
 class Dae:
     """Symbols, parts, names, units and start values.
 
@@ -75,6 +104,8 @@ class Dae:
         outputs: every quantity that can be asked for, by name.
         requested: names of the outputs in y, in order.
         notes: what the user should know (audit of the scene, what was left out).
+        turns: the quaternions among the states, so that passes know them without knowing bodies.
+        expansion: in a reduced model, what parts and outputs read instead of x.
         source: text that determines the model, for its digest.
     """
 
@@ -94,22 +125,41 @@ class Dae:
     outputs: Mapping[str, Output]
     requested: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    turns: tuple[Turn, ...] = ()
+    expansion: Expansion | None = None
     source: str = field(default="", repr=False)
 
     @cached_property
     def _rows(self) -> tuple[ca.SX, ca.SX]:
         ode, alg = [ca.SX(0)] * self.x.numel(), [ca.SX(0)] * self.z.numel()
+        place = self.expansion.rows if self.expansion else range(len(ode))
         for part in self.parts:
-            d_ode, d_alg = part.kernel(
-                self.t, self._pick(self.x, part.reads), self._pick(self.z, part.reads_z),
-                part.constants,
-            )  # fmt: skip
+            reads = self._pick(self.states, part.reads)
+            d_ode, d_alg = self.contribution(part, reads)
+            if self.expansion and not reads.is_valid_input():  # some reads never move
+                d_ode = fold(d_ode, ca.vertcat(*self.symbols))
             for i, row in enumerate(part.ode_rows):
-                ode[row] = ode[row] + d_ode[i]
+                j = place[row]
+                if j is not None:
+                    ode[j] = ode[j] + d_ode[i]
             for i, row in enumerate(part.alg_rows):
                 alg[row] = alg[row] + d_alg[i]
         rows = ca.cse(ca.vertcat(ca.SX(0, 1), *ode, *alg))
         return rows[: len(ode)], rows[len(ode) :]
+
+    @property
+    def states(self) -> ca.SX:
+        """What parts and outputs read: the states of the full scene."""
+        return self.expansion.states if self.expansion else self.x
+
+    @property
+    def symbols(self) -> list[ca.SX]:
+        """[t, x, z, u, p]: the arguments of every function of the model."""
+        return [self.t, self.x, self.z, self.u, self.p]
+
+    def contribution(self, part: Part, states: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Rows that a part adds to ode and alg for given values of the states it reads."""
+        return part.kernel(self.t, states, self._pick(self.z, part.reads_z), part.constants)
 
     @staticmethod
     def _pick(column: ca.SX, index: tuple[int, ...]) -> ca.SX:
@@ -137,17 +187,19 @@ class Dae:
 
     def output(self, name: str) -> ca.SX:
         """Column of one output quantity, by name."""
-        if name not in self.outputs:
-            raise ValueError(f"model '{self.name}': no output '{name}'; {self._suggest(name)}")
+        self._check_output(name)
         out = self.outputs[name]
         kernel, constants = out.build()
-        x, z = self._pick(self.x, out.reads), self._pick(self.z, out.reads_z)
+        x, z = self._pick(self.states, out.reads), self._pick(self.z, out.reads_z)
         return kernel(self.t, x, z, constants)
 
-    def _suggest(self, name: str) -> str:
+    def _check_output(self, name: str) -> None:
+        if name in self.outputs:
+            return
         owner = name.split(".")[0]
         close = [key for key in self.outputs if key.split(".")[0] == owner]
-        return "there are: " + ", ".join(close or sorted({k.split(".")[0] for k in self.outputs}))
+        there = ", ".join(close or sorted({k.split(".")[0] for k in self.outputs}))
+        raise ValueError(f"model '{self.name}': no output '{name}'; there are: {there}")
 
     def start_values(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Start values of x and z for the given parameter values."""
@@ -172,7 +224,7 @@ class Dae:
         for part in self.parts:
             self._verify_part(part)
         for name in self.requested:
-            self.output(name)
+            self._check_output(name)
         known = ca.vertcat(self.t, self.x, self.z, self.u, self.p)
         free = ca.Function("verify", [known], [self.ode, self.alg], {"allow_free": True}).free_sx()
         if free:
@@ -185,7 +237,7 @@ class Dae:
                 f"model '{self.name}', part '{part.name}': kernel gives {n_ode} + {n_alg} rows, "
                 f"indices name {len(part.ode_rows)} + {len(part.alg_rows)}"
             )
-        if max(part.ode_rows, default=0) >= max(1, self.x.numel()):
+        if max(part.ode_rows, default=0) >= max(1, self.states.numel()):
             raise ValueError(f"model '{self.name}', part '{part.name}': row outside the states")
 
     def __str__(self) -> str:
@@ -201,6 +253,37 @@ class Dae:
         ):
             lines += table(title, getattr(self, f"{kind}_labels"))
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A state that is not in the model, its default value, and why it is not."""
+
+    name: str
+    value: float
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """What a pass left out, and what is needed to judge it.
+
+    Arguments:
+        dropped: the states that are gone.
+        build: makes `transverse`, when it is first asked for.
+    """
+
+    dropped: tuple[Dropped, ...]
+    build: Callable[[], ca.Function]
+
+    @cached_property
+    def transverse(self) -> ca.Function:
+        """Jacobian of the dropped rates by the dropped states, on the kept manifold.
+
+        Function (t, x, z, u, p). The full Jacobian is block triangular there, so its spectrum and
+        that of the small model together are the full one.
+        """
+        return self.build()
 
 
 def table(title: str, labels: tuple[Label, ...]) -> list[str]:

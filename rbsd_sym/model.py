@@ -5,25 +5,31 @@ from __future__ import annotations
 import hashlib
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from .dae import Dae, Label, table
+from .dae import Dae, Dropped, Label, Reduction, table
 from .trajectory import Column, Trajectory
 from .version import VERSION
 
+_EIGENVALUE_WORK = 2e8  # cube of the block's size times the number of points: about a second
+_ROUNDING = 1e-6  # of a defective zero eigenvalue: sqrt(epsilon) with room for its scale
 _JACOBIAN = re.compile(r"d(ode|alg|out)_d([xzup])")
 
 
-@dataclass(frozen=True)
-class Dropped:
-    """A state that is not in the model, the value it keeps, and why."""
+class Growth(NamedTuple):
+    """Growth of a disturbance of what a minimal model left out.
 
-    name: str
-    value: float
-    reason: str
+    Fields:
+        rate: the largest, 1/s, and `t` the time it occurs, s.
+        exponent: its integral over the run; the disturbance grows by exp(exponent).
+    """
+
+    rate: float
+    t: float
+    exponent: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +41,7 @@ class Model:
     """
 
     dae: Dae
-    dropped: tuple[Dropped, ...] = ()
+    reduction: Reduction | None = None
     memo: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @property
@@ -69,6 +75,11 @@ class Model:
         return self.dae.x_labels
 
     @property
+    def dropped(self) -> tuple[Dropped, ...]:
+        """The states left out, their values and why."""
+        return self.reduction.dropped if self.reduction else ()
+
+    @property
     def digest(self) -> str:
         """Hash of the scene's text, the formulation and the version of this package."""
         return hashlib.sha256(f"{VERSION}\n{self.dae.source}".encode()).hexdigest()[:16]
@@ -76,7 +87,7 @@ class Model:
     @property
     def symbols(self) -> list[ca.SX]:
         """The arguments [t, x, z, u, p]."""
-        return [self.dae.t, self.dae.x, self.dae.z, self.dae.u, self.dae.p]
+        return self.dae.symbols
 
     def expression(self, name: str) -> ca.SX:
         """What the function of that name computes, over `symbols`.
@@ -84,7 +95,7 @@ class Model:
         Raises:
             ValueError: no function of that name.
         """
-        if name in ("ode", "alg", "out"):
+        if name in ("ode", "alg", "out", "states"):
             return getattr(self.dae, name)
         match = _JACOBIAN.fullmatch(name)
         if match:
@@ -132,6 +143,32 @@ class Model:
         components = output.components if output else tuple(v.name for v in self.dae.out_labels)
         return Column(np.array(values).T.reshape(-1, *shape), unit, components)
 
+    def transverse_growth(self, trajectory: Trajectory) -> Growth:
+        """How fast a disturbance of the states left out grows along a trajectory.
+
+        From the eigenvalues of the transverse Jacobian at saved points (up to 50, fewer for large
+        blocks); real parts within the rounding of a multiple zero count as zero.
+        """
+        n = len(self.dropped)
+        if n == 0 or self.reduction is None:
+            return Growth(0.0, float(trajectory.t[0]), 0.0)
+        dae = self.dae
+        count = min(len(trajectory.t), int(np.clip(_EIGENVALUE_WORK / n**3, 2, 50)))
+        picked = np.unique(np.linspace(0, len(trajectory.t) - 1, count).astype(int))
+        groups = (self._columns(trajectory, labels)[:, picked] for labels in
+                  (dae.x_labels, dae.z_labels, dae.u_labels, dae.p_labels))  # fmt: skip
+        t = trajectory.t[picked]
+        flat = np.array(ca.DM(self.reduction.transverse(t[None, :], *groups)))
+        blocks = flat.reshape(n, len(picked), n).transpose(1, 0, 2)
+        blocks, same = np.unique(blocks, axis=0, return_inverse=True)
+        values = np.linalg.eigvals(blocks)
+        rate = values.real.max(axis=1)
+        rate[rate <= _ROUNDING * (1 + np.abs(values).max(axis=1))] = 0.0
+        rates = rate[same.reshape(-1)]
+        worst = int(np.argmax(rates))
+        exponent = float(np.sum(np.diff(t) * (rates[1:] + rates[:-1]) / 2))
+        return Growth(float(rates[worst]), float(t[worst]), exponent)
+
     @staticmethod
     def _columns(trajectory: Trajectory, labels: tuple[Label, ...]) -> np.ndarray:
         rows = [trajectory[label.name] for label in labels]
@@ -161,7 +198,7 @@ class Model:
         return "\n".join(lines + [f"note: {note}" for note in self.dae.notes])
 
 
-def derive(dae: Dae) -> Model:
-    """A `Model` of a verified `Dae`."""
+def derive(dae: Dae, reduction: Reduction | None = None) -> Model:
+    """A `Model` of a verified `Dae`, and of what was left out of it."""
     dae.verify()
-    return Model(dae)
+    return Model(dae, reduction)

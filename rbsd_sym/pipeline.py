@@ -9,20 +9,24 @@ stage takes a frozen value and gives a frozen value.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from .dae import Dae, Label
-from .formulations import Quaternion
+from .formulations import ModelWarning, Quaternion
 from .integrators import Idas
+from .minimal import reduce
 from .model import Model, derive
 from .scene import Scene
 from .symbols import is_number
-from .trajectory import Experiment, Samples, Signal, Trajectory
+from .trajectory import Experiment, Outcome, Samples, Signal, Trajectory
 
 _DEFAULT_INTERVALS = 200
+_GROWTH_WORTH_A_WARNING = 0.2  # exponent: a disturbance that grows by less than a fifth is none
 
 
 class Formulation(Protocol):
@@ -50,22 +54,20 @@ class IntegrationError(RuntimeError):
 
 
 def compile_scene(
-    scene: Scene, formulation: Formulation | None = None, minimal: bool = False
+    scene: Scene, formulation: Formulation | None = None, minimal: bool = True
 ) -> Model:
     """The model of a scene.
 
     Arguments:
         formulation: coordinates, `Quaternion()` by default.
-        minimal: leave out what cannot move; not available yet.
+        minimal: leave out the states that provably never move, and give a body that turns about
+            one axis one angle (`minimal.reduce`). Trajectories and outputs keep their full meaning.
 
     Raises:
         ValueError: the scene cannot be written in these coordinates.
     """
-    if minimal:
-        raise ValueError(
-            f"scene '{scene.name}': minimal models are not available yet; use minimal=False"
-        )
-    return derive((formulation or Quaternion()).write(scene))
+    dae = (formulation or Quaternion()).write(scene)
+    return derive(*reduce(dae)) if minimal else derive(dae)
 
 
 def simulate(
@@ -92,12 +94,31 @@ def simulate(
     Raises:
         ValueError: unknown names, times that do not increase.
         IntegrationError: the integration failed; it carries the trajectory up to there.
+
+    A motion that a minimal model left out and that is unstable is warned of, and is the outcome.
     """
     experiment = make_experiment(model, times, inputs or {}, params or {}, start or {})
-    trajectory = (integrator or Idas()).solve(model, experiment)
+    trajectory = _across_reduction(model, (integrator or Idas()).solve(model, experiment))
     if throw and not trajectory.outcome.ok:
         raise IntegrationError(trajectory)
     return trajectory
+
+
+def _across_reduction(model: Model, trajectory: Trajectory) -> Trajectory:
+    """The trajectory, with a warning as its outcome if the motion left out is unstable."""
+    if trajectory.outcome is not Outcome.reached_end:
+        return trajectory
+    growth = model.transverse_growth(trajectory)
+    if growth.exponent < _GROWTH_WORTH_A_WARNING:
+        return trajectory
+    outcome = Outcome.unstable_across_reduction
+    report = (
+        f"{outcome.value}: it grows with {growth.rate:.4g} 1/s at t = {growth.t:.4g} s, by a "
+        f"factor of {np.exp(min(growth.exponent, 700.0)):.3g} over the run; "
+        "compile with minimal=False and disturb the start"
+    )
+    warnings.warn(f"{model.name}: {report}", ModelWarning, stacklevel=3)
+    return replace(trajectory, outcome=outcome, report=report)
 
 
 def make_experiment(
@@ -112,10 +133,20 @@ def make_experiment(
     p = _override(model, "parameter", dae.p_labels, [v.start for v in dae.p_labels], params)
     x, z = dae.start_values(p)
     labels = (*dae.x_labels, *dae.z_labels)
+    _check_kept(model, start)
     xz = _override(model, "state", labels, np.concatenate([x, z]), start)
     _check_known(model, "input", dae.u_labels, inputs)
     signals = tuple(_signal(model, v, inputs.get(v.name, v.start)) for v in dae.u_labels)
     return Experiment(_times(times), xz[: model.n_x], xz[model.n_x :], p, signals)
+
+
+def _check_kept(model: Model, start: Mapping[str, float]) -> None:
+    for dropped in model.dropped:
+        if dropped.name in start:
+            raise ValueError(
+                f"model '{model.name}': state '{dropped.name}' was left out at "
+                f"{dropped.value:.6g}; a start elsewhere needs compile_scene(minimal=False)"
+            )
 
 
 def _check_known(

@@ -58,7 +58,8 @@ class Outcome(Enum):
     @property
     def ok(self) -> bool:
         """Whether the trajectory is complete."""
-        return self in (Outcome.reached_end, Outcome.event)
+        complete = (Outcome.reached_end, Outcome.event, Outcome.unstable_across_reduction)
+        return self in complete
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "rbsd_sym"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = (
-    {"rotation", "dae", "trajectory", "symbols", "version"},
+    {"zeros", "version"},
+    {"rotation", "dae", "trajectory", "symbols"},
     {"mechanics", "checks"},
     {"laws", "sensors", "user_force"},
     {"scene"},

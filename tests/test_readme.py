@@ -103,7 +103,8 @@ def test_a_failed_run_keeps_what_it_reached(
         "    return [-u[0] ** 3 - 1000 * v[0] ** 2, 0, 0, 0, 0, 0]\n"
         "def scene():\n"
         "    b = rs.RigidBody('b', 1, (1, 1, 1), velocity=(1, 0, 0))\n"
-        "    c = rs.RigidBodySpringDamper('c', rs.Marker(rs.GROUND), rs.Marker('b'), 0, force=force)\n"
+        "    m = rs.Marker(rs.GROUND), rs.Marker('b')\n"
+        "    c = rs.RigidBodySpringDamper('c', *m, 0, force=force)\n"
         "    return rs.Scene('blow_up', [b], [c])\n"
     )
     assert command_line.main(["run", str(source), "--folder", str(tmp_path)]) == 1

@@ -260,6 +260,7 @@ def test_inactive_connector_costs_nothing() -> None:
                 force=user, active=False,
             )  # fmt: skip
             with_it, without = scene([resting]), scene([])
+            assert len(with_it.dae.parts) == len(without.dae.parts)
             for name in ("ode", "dode_dx"):
                 assert with_it.operations(name) == without.operations(name)
                 assert with_it.function(name).str(True) == without.function(name).str(True)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import casadi as ca
 
-from ..dae import Label
+from ..dae import Label, Turn
 from ..mechanics import Body, MarkerOnBody, Wrench, body_motion, shift_to_body
 from ..scene import GROUND, Marker, RigidBody, Scene
 from ..symbols import TIME, to_expr
@@ -21,6 +21,11 @@ class Coordinates(Protocol):
     @property
     def labels(self) -> tuple[tuple[str, str], ...]:
         """Name and unit of each coordinate."""
+        ...
+
+    @property
+    def quaternion(self) -> bool:
+        """Whether the coordinates are a quaternion, scalar first."""
         ...
 
     def start(self, R_WB: ca.SX, q_WB: ca.SX) -> ca.SX:
@@ -63,6 +68,15 @@ class Layout:
     def velocity_rows(self, index: int) -> tuple[int, ...]:
         """Rows of velocity and angular velocity of a body."""
         return self.rows(index)[-6:]
+
+    def turns(self) -> tuple[Turn, ...]:
+        """The quaternions among the states, if the coordinates are quaternions."""
+        if not self.coordinates.quaternion:
+            return ()
+        return tuple(
+            Turn(body.name, self.rows(i)[3:7], self.rows(i)[10:13])  # type: ignore[arg-type]
+            for i, body in enumerate(self.scene.bodies)
+        )
 
     def carriers(self, *markers: Marker) -> list[int]:
         """Indices of the moving bodies that carry the markers, each once."""

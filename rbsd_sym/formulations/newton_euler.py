@@ -66,6 +66,7 @@ def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
         outputs=outputs,
         requested=writer.requested(outputs),
         notes=audit(scene),
+        turns=layout.turns(),
         source=f"{formulation}\n{scene.text}",
     )
 

@@ -24,6 +24,8 @@ class Quaternion:
         ("q_w", ""), ("q_x", ""), ("q_y", ""), ("q_z", ""),
     )  # fmt: skip
 
+    quaternion: ClassVar[bool] = True
+
     def write(self, scene: Scene) -> Dae:
         """The scene as a `Dae` with states <body>.p_x ... q_w ... v_x ... w_z."""
         return newton_euler.write(scene, self, "quaternion")

@@ -25,6 +25,8 @@ class TaitBryan:
         ("a_x", "rad"), ("a_y", "rad"), ("a_z", "rad"),
     )  # fmt: skip
 
+    quaternion: ClassVar[bool] = False
+
     def write(self, scene: Scene) -> Dae:
         """The scene as a `Dae` with states <body>.p_x ... a_x ... v_x ... w_z."""
         return newton_euler.write(scene, self, "tait_bryan")

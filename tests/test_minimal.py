@@ -1,0 +1,283 @@
+"""Minimal models: what is left out, that nothing is lost, and that attacks keep what they need."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import reference_scenes
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import rbsd_sym as rs
+
+GROUND, BODY = rs.Marker(rs.GROUND), rs.Marker("b")
+
+
+def one_body(
+    connector: dict[str, Any] | None = None, body: dict[str, Any] | None = None, **scene: Any
+) -> rs.Scene:
+    """A body b on a connector c to the ground."""
+    b = rs.RigidBody("b", **{"mass": 1.0, "inertia": (1.0, 2.0, 2.5), **(body or {})})
+    c = rs.RigidBodySpringDamper(
+        "c", **{"marker0": GROUND, "marker1": BODY, "stiffness": [100] * 6, **(connector or {})}
+    )
+    return rs.Scene("scene", [b], [c], **scene)
+
+
+def chain(n: int, law: Any, offset: float = 0.0) -> rs.Scene:
+    """Links along x that fall in the xy plane; `offset` moves one marker out of it."""
+    bodies, joints = [], []
+    for i in range(n):
+        out = offset if i == n // 2 else 0.0
+        bodies.append(rs.RigidBody(f"b{i}", 1, (0.01, 0.1, 0.1), position=(i + 0.5, 0, 0)))
+        joints.append(rs.RigidBodySpringDamper(
+            f"j{i}", rs.Marker(f"b{i - 1}", (0.5, 0, 0)) if i else GROUND,
+            rs.Marker(f"b{i}", (-0.5, 0, out)), [1e5] * 3 + [1e3] * 3, [10] * 3 + [1] * 3, law=law,
+        ))  # fmt: skip
+    return rs.Scene("chain", bodies, joints, gravity=(0, -9.81, 0))
+
+
+def kept(scene: rs.Scene, **options: Any) -> set[str]:
+    """Names of the states the minimal model keeps."""
+    return {label.name for label in rs.compile_scene(scene, **options).x_labels}
+
+
+LAWS = [rs.Standard(), rs.Intrinsic(), rs.Consistent()]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize(("n", "offset", "states"), [(1, 0, 6), (20, 0, 120), (20, 0.1, 260)])
+def test_sizes_of_chains(law: Any, n: int, offset: float, states: int) -> None:
+    assert rs.compile_scene(chain(n, law, offset)).n_x == states
+
+
+def test_size_of_mini_and_of_tait_bryan() -> None:
+    mini = reference_scenes.build("mini")
+    assert rs.compile_scene(mini).n_x == 2
+    assert rs.compile_scene(mini, rs.TaitBryan()).n_x == 2
+    assert rs.compile_scene(chain(3, rs.Consistent()), rs.TaitBryan()).n_x == 18
+    assert rs.compile_scene(mini, minimal=False).n_x == 13
+    model = rs.compile_scene(mini)
+    assert len(model.dropped) == 11
+    assert "b0.q_w = 1" in str(model)
+
+
+# Every scene that is built to fool the pass keeps the states that can move.
+
+
+def test_input_that_is_zero_at_the_start_keeps_its_direction() -> None:
+    push = rs.Input("push", "N")
+    scene = one_body()
+    load = rs.Load("load", BODY, force=(push, 0, 0))
+    assert kept(scene) == set()
+    assert kept(rs.Scene("s", scene.bodies, scene.connectors, [load])) == {"b.p_x", "b.v_x"}
+
+
+def test_parameter_that_is_zero_by_default_keeps_what_it_can_move() -> None:
+    weight = rs.Param("weight", 0.0, "m/s2")
+    assert kept(one_body(gravity=(0, 0, weight))) == {"b.p_z", "b.v_z"}
+
+
+def test_offset_that_depends_on_time_keeps_its_direction() -> None:
+    assert kept(one_body({"offset": [0, np.sin(rs.TIME), 0, 0, 0, 0]})) == {"b.p_y", "b.v_y"}
+
+
+def test_springs_that_cancel_at_the_start_only() -> None:
+    pulls = [
+        rs.RigidBodySpringDamper(name, GROUND, BODY, [100] * 6, offset=(s, 0, 0, 0, 0, 0))
+        for name, s in (("left", -1), ("right", 1))
+    ]
+    body = rs.RigidBody("b", 1, (1, 1, 1))
+    assert kept(rs.Scene("s", [body], pulls)) == set()  # equal springs: it stays in the middle
+    k = rs.Param("k", 100.0)
+    right = rs.RigidBodySpringDamper("right", GROUND, BODY, [k] + [100] * 5, offset=(1,) + (0,) * 5)
+    assert kept(rs.Scene("s", [body], [pulls[0], right])) == {"b.p_x", "b.v_x"}
+
+
+def test_symmetric_start_of_two_bodies_is_kept() -> None:
+    bodies = [rs.RigidBody(n, 1, (1, 1, 1), velocity=(v, 0, 0)) for n, v in (("a", 1), ("b", -1))]
+    spring = rs.RigidBodySpringDamper("c", rs.Marker("a"), rs.Marker("b"), [10] * 6)
+    assert kept(rs.Scene("s", bodies, [spring])) == {"a.p_x", "a.v_x", "b.p_x", "b.v_x"}
+
+
+def test_user_force_that_looks_at_another_axis() -> None:
+    def force(mbs: Any, t: Any, i: Any, u: Any, th: Any, v: Any, w: Any, *rest: Any) -> list[Any]:
+        return [100 * u[0], 100 * u[1] + 3 * u[0], 0, 0, 0, 0]
+
+    moving = one_body({"force": force}, {"velocity": (1, 0, 0)})
+    assert kept(moving) == {"b.p_x", "b.v_x", "b.p_y", "b.v_y"}
+
+
+def test_coupled_stiffness_and_gyroscopic_torque_keep_what_they_reach() -> None:
+    K = np.diag([100.0] * 6)
+    K[0, 4] = K[4, 0] = 5.0
+    names = kept(one_body({"stiffness": K, "law": rs.Consistent()}, {"velocity": (1, 0, 0)}))
+    assert {"b.p_x", "b.w_y"} <= names
+    spun = one_body({"stiffness": [0] * 6}, {"angular_velocity": (1, 1, 0)})
+    assert {"b.w_x", "b.w_y", "b.w_z"} <= kept(spun)
+
+
+def test_standard_pendulum_about_y_is_not_frozen_for_its_law_leaves_the_plane() -> None:
+    """Past 90 degrees the Tait-Bryan roll of a turn about y jumps to pi: there is no plane."""
+    link = rs.RigidBody("b", 1, (0.01, 0.1, 0.1), position=(0.5, 0, 0))
+    for law, states in ((rs.Standard(), 13), (rs.Consistent(), 6)):
+        joint = rs.RigidBodySpringDamper(
+            "j", GROUND, rs.Marker("b", (-0.5, 0, 0)), [1e5] * 3 + [1e3] * 3, law=law
+        )
+        scene = rs.Scene("s", [link], [joint], gravity=(0, 0, -9.81))
+        assert rs.compile_scene(scene).n_x == states
+
+
+# Nothing is lost.
+
+
+def compare(scene: rs.Scene, t_end: float = 0.5) -> float:
+    """Largest difference of outputs between minimal and full, relative to their size."""
+    times = np.linspace(0, t_end, 6)
+    integrator = rs.ExplicitRK(1e-11, 1e-13)
+    small = rs.simulate(rs.compile_scene(scene), times, integrator)
+    full = rs.simulate(rs.compile_scene(scene, minimal=False), times, integrator)
+    assert small.outcome.ok
+    worst = 0.0
+    for name in rs.compile_scene(scene).dae.outputs:
+        if "wer" in name:  # powers divide small numbers by smaller ones
+            continue
+        scale = max(np.abs(full[name]).max(), 1.0)
+        worst = max(worst, float(np.abs(small[name] - full[name]).max()) / scale)
+    for label in rs.compile_scene(scene, minimal=False).x_labels:
+        difference = np.abs(small[label.name] - full[label.name]).max()
+        if label.name.split(".")[1].startswith("q_"):  # of either sign: the angle may start in -pi
+            difference = np.abs(np.abs(small[label.name]) - np.abs(full[label.name])).max()
+        worst = max(worst, float(difference) / max(1.0, float(np.abs(full[label.name]).max())))
+    return worst
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_minimal_equals_full_for_a_chain(law: Any) -> None:
+    assert compare(chain(3, law)) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["mini", "single", "chain4"])
+def test_minimal_equals_full_for_reference_scenes(name: str) -> None:
+    assert compare(reference_scenes.build(name), 0.2) < 1e-9
+
+
+def test_angle_counts_turns() -> None:
+    spinner = one_body({"stiffness": [0] * 6}, {"angular_velocity": (0, 0, 7.0)})
+    model = rs.compile_scene(spinner)
+    assert [label.name for label in model.x_labels] == ["b.angle_z"]
+    trajectory = rs.simulate(model, 10.0)
+    assert trajectory["b.angle_z"][-1] == pytest.approx(70.0, rel=1e-9)
+    c, s = np.cos(70.0), np.sin(70.0)
+    np.testing.assert_allclose(
+        trajectory["b.rotation_matrix"][-1], [[c, -s, 0], [s, c, 0], [0, 0, 1]], atol=1e-7
+    )
+
+
+def test_dropped_states_cannot_be_started_elsewhere() -> None:
+    model = rs.compile_scene(reference_scenes.build("mini"))
+    with pytest.raises(ValueError, match=r"b0\.p_x.*left out.*minimal=False"):
+        rs.simulate(model, 1.0, start={"b0.p_x": 0.1})
+
+
+finite = st.floats(-1, 1).map(lambda v: round(v, 3))
+
+
+@st.composite
+def random_scene(draw: st.DrawFn) -> rs.Scene:
+    """Bodies in a row, aligned or not, on connectors with zero and non-zero rows."""
+    n = draw(st.integers(1, 2))
+    aligned = draw(st.booleans())
+    law = draw(st.sampled_from(LAWS))
+    bodies, joints = [], []
+    for i in range(n):
+        inertia = np.array([draw(st.floats(1, 2)) for _ in range(3)])
+        bodies.append(rs.RigidBody(
+            f"b{i}", draw(st.floats(0.5, 3)), inertia,
+            position=(i, 0, 0) if aligned else [i, draw(finite), draw(finite)],
+            velocity=draw(st.sampled_from([(0, 0, 0), (1, 0, 0), (0, 0, -1), (0.5, 0.2, 0)])),
+            angular_velocity=draw(st.sampled_from([(0, 0, 0), (0, 0, 2), (1, 0, 0), (0.3, 1, 0)])),
+        ))  # fmt: skip
+        rows = [draw(st.sampled_from([0.0, 20.0, 100.0])) for _ in range(6)]
+        place = (draw(finite), draw(finite), 0 if aligned else draw(finite))
+        joints.append(rs.RigidBodySpringDamper(
+            f"j{i}", rs.Marker(f"b{i - 1}", place) if i else GROUND, rs.Marker(f"b{i}"), rows,
+            [0.02 * k for k in rows], law=law,
+        ))  # fmt: skip
+    gravity = draw(st.sampled_from([(0, 0, 0), (0, -9.81, 0), (0, 0, -9.81)]))
+    return rs.Scene("random", bodies, joints, gravity=gravity)
+
+
+def rates_vanish(scene: rs.Scene, seed: int) -> float:
+    """Largest rate of a dropped state over random values of the others, relative to all rates."""
+    small, full = rs.compile_scene(scene), rs.compile_scene(scene, minimal=False)
+    gone = [d.name for d in small.dropped]
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((small.n_x, 40)) * 2
+    states = np.array(small.function("states")(0, x, [], [], [])).reshape(-1, 40)
+    rates = np.array(full.function("ode")(0, states[: full.n_x], [], [], []))
+    labels = [label.name for label in full.x_labels]
+    rows = [labels.index(name) for name in gone]
+    return float(np.abs(rates[rows]).max(initial=0.0) / (1 + np.abs(rates).max()))
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(scene=random_scene(), seed=st.integers(0, 1000))
+@pytest.mark.filterwarnings("ignore::rbsd_sym.ModelWarning")
+def test_random_scenes_are_sound(scene: rs.Scene, seed: int) -> None:
+    assert rates_vanish(scene, seed) < 1e-12
+
+
+@pytest.mark.slow
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(scene=random_scene())
+@pytest.mark.filterwarnings("ignore::rbsd_sym.ModelWarning")
+def test_random_scenes_equal_the_full_model(scene: rs.Scene) -> None:
+    assert compare(scene, 0.3) < 1e-9
+
+
+# What the small model cannot see.
+
+
+def column() -> rs.Scene:
+    """An upright bar on a weak hinge: mass 1, centre 0.5 m above the pivot."""
+    bar = rs.RigidBody("bar", 1.0, (0.08, 0.08, 0.01), position=(0, 0, 0.5))
+    hinge = rs.RigidBodySpringDamper(
+        "hinge", GROUND, rs.Marker("bar", (0, 0, -0.5)), [1e6] * 3 + [1.0] * 3, law=rs.Consistent()
+    )
+    return rs.Scene("column", [bar], [hinge], gravity=(0, 0, -9.81))
+
+
+def test_buckling_hidden_by_the_minimal_model_is_reported() -> None:
+    model = rs.compile_scene(column())
+    assert {label.name for label in model.x_labels} == {"bar.p_z", "bar.v_z"}
+    with pytest.warns(rs.ModelWarning, match=r"grows with \d\.\d+ 1/s"):
+        trajectory = rs.simulate(model, 0.1)
+    assert trajectory.outcome is rs.Outcome.unstable_across_reduction
+    assert model.reduction is not None
+    # An upright pendulum at rest on its springs: growth^2 = (m g l - k) / (I + m l^2), but for the
+    # give of the hinge, 1e6 N/m.
+    at_rest = [0.5 - 9.81e-6, 0.0]
+    block = np.array(model.reduction.transverse(0, at_rest, [], [], []))
+    expected = np.sqrt((9.81 * 0.5 - 1.0) / (0.08 + 0.25))
+    assert np.linalg.eigvals(block).real.max() == pytest.approx(expected, rel=1e-3)
+    # Started unstretched it bounces, and at the bottom carries twice its weight.
+    growth = model.transverse_growth(trajectory)
+    assert growth.rate == pytest.approx(np.sqrt((2 * 9.81 * 0.5 - 1.0) / (0.08 + 0.25)), rel=1e-2)
+
+
+def test_both_spectra_together_are_the_full_one() -> None:
+    small, full = rs.compile_scene(column()), rs.compile_scene(column(), minimal=False)
+    assert small.reduction is not None
+    x = [label.start for label in small.x_labels]
+    X = [label.start for label in full.x_labels]
+    parts = [np.array(ca_matrix) for ca_matrix in (
+        small.function("dode_dx")(0, x, [], [], []), small.reduction.transverse(0, x, [], [], []))]
+    ours = np.concatenate([np.linalg.eigvals(part) for part in parts])
+    whole = np.linalg.eigvals(np.array(full.function("dode_dx")(0, X, [], [], [])))
+    # Defective zeros (rigid turns, the norm) are known to sqrt(epsilon) only; others to 1e-10.
+    for value in whole[np.abs(whole) > 1e-3]:
+        assert np.abs(ours - value).min() < 1e-10 * np.abs(whole).max()
+    assert len(ours) == len(whole)
