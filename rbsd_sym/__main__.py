@@ -67,6 +67,9 @@ def _parser() -> argparse.ArgumentParser:
             "--tait-bryan", action="store_true", help="Tait-Bryan xyz angles, not quaternions"
         )
         command.add_argument(
+            "--full", action="store_true", help="keep the states that provably never move"
+        )
+        command.add_argument(
             "--folder", type=Path, default=Path("generated"), help="parent of the output folder"
         )
         if name == "run":
@@ -145,7 +148,7 @@ def _compile(options: argparse.Namespace) -> tuple[ModuleType, rs.Model]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", rs.ModelWarning)
         with _progress(f"compiling {options.model}"):
-            model = rs.compile_scene(file.scene(), formulation)
+            model = rs.compile_scene(file.scene(), formulation, minimal=not options.full)
     for warning in caught:
         print(f"warning: {warning.message}", file=sys.stderr)
     return file, model

@@ -203,9 +203,12 @@ class Dae:
 
     def start_values(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Start values of x and z for the given parameter values."""
-        values = ca.Function("start", [self.p], [self.x_start, self.z_start])(p)
-        x0, z0 = (np.array(value).reshape(-1) for value in values)
+        x0, z0 = (np.array(value).reshape(-1) for value in self._start(p))
         return x0, z0
+
+    @cached_property
+    def _start(self) -> ca.Function:
+        return ca.Function("start", [self.p], [self.x_start, self.z_start])
 
     def verify(self) -> None:
         """Check sizes, labels, rows and free symbols.
@@ -284,6 +287,12 @@ class Reduction:
         that of the small model together are the full one.
         """
         return self.build()
+
+    @cached_property
+    def varies(self) -> bool:
+        """Whether `transverse` depends on anything but the parameters."""
+        block = self.transverse
+        return any(block.jac_sparsity(0, i).nnz() > 0 for i in range(4))
 
 
 def table(title: str, labels: tuple[Label, ...]) -> list[str]:

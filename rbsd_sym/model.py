@@ -153,20 +153,21 @@ class Model:
         if n == 0 or self.reduction is None:
             return Growth(0.0, float(trajectory.t[0]), 0.0)
         dae = self.dae
-        count = min(len(trajectory.t), int(np.clip(_EIGENVALUE_WORK / n**3, 2, 50)))
-        picked = np.unique(np.linspace(0, len(trajectory.t) - 1, count).astype(int))
+        count = int(np.clip(_EIGENVALUE_WORK / n**3, 2, 50)) if self.reduction.varies else 1
+        last = len(trajectory.t) - 1
+        picked = np.linspace(0, last, min(last + 1, count)).astype(int)
         groups = (self._columns(trajectory, labels)[:, picked] for labels in
                   (dae.x_labels, dae.z_labels, dae.u_labels, dae.p_labels))  # fmt: skip
         t = trajectory.t[picked]
         flat = np.array(ca.DM(self.reduction.transverse(t[None, :], *groups)))
         blocks = flat.reshape(n, len(picked), n).transpose(1, 0, 2)
-        blocks, same = np.unique(blocks, axis=0, return_inverse=True)
         values = np.linalg.eigvals(blocks)
-        rate = values.real.max(axis=1)
-        rate[rate <= _ROUNDING * (1 + np.abs(values).max(axis=1))] = 0.0
-        rates = rate[same.reshape(-1)]
+        rates = values.real.max(axis=1)
+        rates[rates <= _ROUNDING * (1 + np.abs(values).max(axis=1))] = 0.0
         worst = int(np.argmax(rates))
         exponent = float(np.sum(np.diff(t) * (rates[1:] + rates[:-1]) / 2))
+        if not self.reduction.varies:
+            exponent = float(rates[0] * (trajectory.t[-1] - trajectory.t[0]))
         return Growth(float(rates[worst]), float(t[worst]), exponent)
 
     @staticmethod

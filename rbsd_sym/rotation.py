@@ -18,7 +18,7 @@ import casadi as ca
 
 M = TypeVar("M", ca.SX, ca.MX, ca.DM)
 
-_TERMS = 15
+_TERMS = 13
 
 
 def dot3(a: M, b: M) -> M:
@@ -105,18 +105,20 @@ def _atan_remainder(y: Any) -> Any:
     """(1 - atan(t)/t) / t^2 for y = t^2 in 0 ... 1, without branch or cancellation.
 
     With s = 1 + sqrt(1 + y), atan(t) = 2 atan(t/s), so C(y) = (1 + 2 C(y/s^2) / s) / s^2. Two such
-    halvings bring t below tan(pi/16), where 15 terms of 1/3 - y/5 + y^2/7 - ... leave less than
+    halvings bring t below tan(pi/16), where 13 terms of 1/3 - y/5 + y^2/7 - ... leave less than
     epsilon of the value and of its first three derivatives.
     """
-    s1 = 1 + ca.sqrt(1 + y)
-    y1 = y / (s1 * s1)
-    s2 = 1 + ca.sqrt(1 + y1)
-    y2 = y1 / (s2 * s2)
+    # 2 / (2 x), because CasADi turns a product with 1 / x back into a division, and each derivative
+    # of a division divides again.
+    r1 = 2 / (2 + 2 * ca.sqrt(1 + y))
+    y1 = y * (r1 * r1)
+    r2 = 2 / (2 + 2 * ca.sqrt(1 + y1))
+    y2 = y1 * (r2 * r2)
     total = 1.0 / (2 * _TERMS + 1)
     for k in range(_TERMS - 2, -1, -1):
         total = 1.0 / (2 * k + 3) - y2 * total
-    for s in (s2, s1):
-        total = (1 + 2 * total / s) / (s * s)
+    for r in (r2, r1):
+        total = (1 + 2 * total * r) * (r * r)
     return total
 
 

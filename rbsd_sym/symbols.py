@@ -79,6 +79,14 @@ class Scalar:
     def __ge__(self, other: object) -> Scalar:
         return self._apply(other, lambda a, b: a >= b)
 
+    def __eq__(self, other: object) -> Any:
+        return self._apply(other, lambda a, b: a == b)
+
+    def __ne__(self, other: object) -> Any:
+        return self._apply(other, lambda a, b: a != b)
+
+    __hash__ = object.__hash__  # a symbol is kept in sets by identity; == is a condition
+
     def __neg__(self) -> Scalar:
         return Scalar(-self.expr, self.leaves)
 

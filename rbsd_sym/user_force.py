@@ -56,8 +56,11 @@ def trace_force(
             to_array(rate[3:]), stiffness.copy(), damping.copy(), to_array(A0), to_array(A1),
             offset.copy(),
         )  # fmt: skip
-    except TypeError as error:
-        raise TypeError(f"{where}: {error}") from error
+    except (TypeError, AttributeError) as error:
+        raise TypeError(
+            f"{where}: {error}; symbols know +, -, *, /, **, comparisons, numpy's functions of one "
+            "argument and rbsd_sym.where; other functions come from CasADi, such as casadi.atan2"
+        ) from error
     values = _six_numbers(result, where)
     known = [TIME.expr, strain, rate, A0, A1]
     expr = ca.vertcat(*(to_expr(value) for value in values))
@@ -74,6 +77,8 @@ def trace_force(
 
 
 def _six_numbers(result: Any, where: str) -> list[Any]:
+    if result is None:
+        raise ValueError(f"{where}: returned None; it returns 6 numbers: force x y z, torque x y z")
     if isinstance(result, ca.SX):
         result = list(to_array(ca.vec(result)))
     try:

@@ -10,9 +10,12 @@ from pathlib import Path
 
 import pytest
 import reference_scenes
+from test_minimal import chain
 
 import rbsd_sym as rs
+from rbsd_sym.__main__ import load_model_file
 
+ROOT = Path(__file__).parents[1]
 pytestmark = pytest.mark.benchmark
 
 _LOOP = """
@@ -71,3 +74,21 @@ def test_mini_by_idas(rtol: float) -> None:
     took = 1e3 * statistics.median(times)
     print(f"\nmini by IDAS at rtol {rtol:g}: {took:.2f} ms (goal: below 5)")
     assert min(times) > 0
+
+
+def test_sizes_of_minimal_models() -> None:
+    scenes = {
+        "`mini`": reference_scenes.build("mini"),
+        "planar pendulum": chain(1, rs.Standard()),
+        "planar chain of 20": chain(20, rs.Standard()),
+        "the same, one marker off the plane": chain(20, rs.Standard(), 0.1),
+        "`engine_mounts`": load_model_file(ROOT / "models" / "engine_mounts.py").scene(),
+    }
+    print()
+    for name, scene in scenes.items():
+        full, small = rs.compile_scene(scene, minimal=False), rs.compile_scene(scene)
+        print(
+            f"| {name} | {full.n_x} | {small.n_x} | {full.operations('ode')} "
+            f"| {small.operations('ode')} |"
+        )
+        assert small.n_x <= full.n_x

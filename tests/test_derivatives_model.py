@@ -15,6 +15,8 @@ from reference_scenes import LAWS
 
 import rbsd_sym as rs
 
+# All states are kept: functions are evaluated where a scene that starts at rest never goes.
+compiled_full = functools.partial(rs.compile_scene, minimal=False)
 EPS = float(np.finfo(float).eps)
 Array = np.ndarray
 # Eighth-order central difference: its error is the eighth power of the step.
@@ -42,7 +44,7 @@ def assert_close(value: Any, reference: Array, tolerance: float) -> None:
 @functools.cache
 def reference_model(name: str) -> rs.Model:
     """A scene of reference/scenes.json; its states are in the oracle's order."""
-    return rs.compile_scene(reference_scenes.build(name))
+    return compiled_full(reference_scenes.build(name))
 
 
 def points(name: str) -> list[Array]:
@@ -67,7 +69,7 @@ def test_dode_dx_of_reference_scenes(name: str) -> None:
 def test_dode_dx_in_tait_bryan_angles() -> None:
     """Accelerations by all states; the rates of the angles are tested with the rotations."""
     scene = reference_scenes.REFERENCE["pair_consistent"]
-    model = rs.compile_scene(reference_scenes.build("pair_consistent"), rs.TaitBryan())
+    model = compiled_full(reference_scenes.build("pair_consistent"), rs.TaitBryan())
     x = np.random.default_rng(42).normal(size=24) * 0.5
 
     def accelerations(x: Array) -> Array:
@@ -96,7 +98,7 @@ def one_body(law: str) -> rs.Model:
     )  # fmt: skip
     load = rs.Load("load", rs.Marker("b", LOAD_ARM), [u["push"], 0.0, 0.0], frame="body")
     outputs = ["joint.force_local", "joint.torque1", "energy"]
-    return rs.compile_scene(rs.Scene("one", [body], [connector], [load], GRAVITY, outputs))
+    return compiled_full(rs.Scene("one", [body], [connector], [load], GRAVITY, outputs))
 
 
 @functools.cache
@@ -222,7 +224,7 @@ def chain(n: int) -> rs.Model:
         )
         for i in range(n)
     ]  # fmt: skip
-    return rs.compile_scene(rs.Scene("chain", bodies, connectors, outputs=[]))
+    return compiled_full(rs.Scene("chain", bodies, connectors, outputs=[]))
 
 
 def test_jacobian_of_a_chain_is_sparse() -> None:
@@ -247,7 +249,7 @@ def test_jacobian_of_what_does_not_act_is_empty() -> None:
         "joint", rs.Marker(rs.GROUND), rs.Marker("b1"), [k, 0, 0, 0, 0, 0]
     )
     load = rs.Load("load", rs.Marker("b0"), [push, 0.0, 0.0])
-    model = rs.compile_scene(rs.Scene("two", bodies, [connector], [load], outputs=[]))
+    model = compiled_full(rs.Scene("two", bodies, [connector], [load], outputs=[]))
     assert set(model.function("dode_du").sparsity_out(0).row()) == {7}
     assert set(model.function("dode_dp").sparsity_out(0).row()) <= {13 + 7}
     assert model.function("dalg_dx").nnz_out(0) == 0

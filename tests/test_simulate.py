@@ -168,7 +168,8 @@ def test_parameters(driven: rs.Model) -> None:
 
 
 def test_parameters_move_the_start() -> None:
-    body = rs.RigidBody("b", 1.0, [1, 1, 1], position=[rs.Param("x0", 0.1, "m"), 0, 0])
+    x0 = rs.Param("x0", 0.1, "m")
+    body = rs.RigidBody("b", 1.0, [1, 1, 1], position=[x0, 0, 0], velocity=[1, 0, 0])
     model = rs.compile_scene(rs.Scene("free", [body], []))
     assert rs.simulate(model, 1.0)["b.position"][0, 0] == 0.1
     assert rs.simulate(model, 1.0, params={"x0": 0.7})["b.position"][0, 0] == 0.7
@@ -347,7 +348,7 @@ def test_tait_bryan_body_at_the_pole(integrator: Any) -> None:
     body = rs.RigidBody("b", 1, [1, 1, 1], angular_velocity=TURN)
     model = rs.compile_scene(rs.Scene("pole", [body], []), formulation=rs.TaitBryan())
     trajectory = rs.simulate(model, GRID, integrator, start={"b.a_y": np.pi / 2}, throw=False)
-    assert trajectory.outcome is rs.Outcome.step_too_small
+    assert trajectory.outcome in (rs.Outcome.step_too_small, rs.Outcome.solver_failed)
     assert list(trajectory.t) == [0.0]
     assert trajectory["b.position"].shape == (1, 3)
     assert "fastest there: b.a_x" in trajectory.report

@@ -26,8 +26,8 @@ class Standard:
     Free bodies: marker 1 feels the force -A0 f and the torque -A0 m, marker 0 feels +A0 f and
     +A0 m, each at its own marker. No balancing moment for the distance between the markers. That is
     the element as defined [Exudyn, ObjectConnectorRigidBodySpringDamper], faults included: the net
-    moment is not zero, the wrench depends on the order of the markers, work round a closed loop of
-    poses is not zero, and a damper can feed energy.
+    moment is not zero, the wrench depends on the order of the markers, and work round a closed loop
+    of poses is not zero. Dampers alone dissipate.
 
     As a joint: a zero (or soft) row frees its direction. A hinge is valid only about the local z
     axis; about x it flutters, about y it ends at 90 degrees. Turn the joint frame with
