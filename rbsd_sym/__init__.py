@@ -4,13 +4,14 @@ The file to read first is `pipeline.py`.
 """
 
 from . import plots
+from .elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
 from .exports import Artefact, CompilerMissing, Library, export_c, load_c
 from .formulations import ModelWarning, Quaternion, TaitBryan
 from .integrators import ExplicitRK, Idas, Rosenbrock
 from .laws import Consistent, Intrinsic, Standard
 from .model import Model
 from .pipeline import IntegrationError, compile_scene, simulate
-from .scene import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper, Scene
+from .scene import Scene
 from .symbols import TIME, Input, Param, where
 from .trajectory import Outcome, Trajectory
 from .version import VERSION as __version__

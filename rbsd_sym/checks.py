@@ -92,8 +92,9 @@ def rotation(value: Any, where: str) -> np.ndarray:
     matrix = numbers(value, (3, 3), where)
     if is_symbolic(matrix):
         return matrix
-    defect = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
-    if defect > _ROTATION_TOLERANCE:
+    with np.errstate(over="ignore", invalid="ignore"):
+        defect = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
+    if not defect <= _ROTATION_TOLERANCE:
         raise ValueError(
             f"{where}: R'R differs from the identity by {defect:.3g}; a rotation matrix is "
             "orthonormal within 1e-9; normalise it, or give a unit quaternion (w, x, y, z)"
@@ -109,7 +110,8 @@ def rotation(value: Any, where: str) -> np.ndarray:
 def _quaternion(q: np.ndarray, where: str) -> np.ndarray:
     if is_symbolic(q):
         return q
-    norm = float(np.linalg.norm(q))
+    with np.errstate(over="ignore"):
+        norm = float(np.linalg.norm(q))
     if abs(norm - 1) > _ROTATION_TOLERANCE:
         raise ValueError(
             f"{where}: quaternion of norm {norm:.6g}; a rotation needs norm 1 within 1e-9; divide "

@@ -97,6 +97,10 @@ def simulate(
 
     A motion that a minimal model left out and that is unstable is warned of, and is the outcome.
     """
+    if isinstance(integrator, type):
+        raise TypeError(
+            f"simulate: integrator {integrator.__name__}; give an object, such as Idas()"
+        )
     experiment = make_experiment(model, times, inputs or {}, params or {}, start or {})
     trajectory = _across_reduction(model, (integrator or Idas()).solve(model, experiment))
     if throw and not trajectory.outcome.ok:

@@ -175,6 +175,11 @@ class Leaf(Scalar):
                 f"{type(self).__name__.lower()} '{name}': value {value!r}; it must be one finite "
                 "number; give a float"
             )
+        if not isinstance(unit, str):
+            raise TypeError(
+                f"{type(self).__name__.lower()} '{name}': unit {unit!r}; it is a string such as "
+                "'N/m' (the order is Param(name, value, unit), Input(name, unit, value))"
+            )
         super().__init__(ca.SX.sym(name))
         self.name, self.unit, self.value = name, unit, float(value)
         self.leaves = frozenset([self])

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any, Union
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -173,7 +174,7 @@ class Trajectory:
             ValueError: not such a file.
         """
         try:
-            with np.load(Path(path), allow_pickle=False) as file:
+            with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
                 header = json.loads(str(file["header"]))
                 if header["format"] != _FORMAT:
                     raise ValueError(f"format {header['format']}, this version reads {_FORMAT}")
@@ -182,7 +183,7 @@ class Trajectory:
                     for i, (name, unit, components) in enumerate(header["columns"])
                 }
                 t = file["t"]
-        except (OSError, KeyError, ValueError) as error:
+        except (OSError, EOFError, KeyError, TypeError, ValueError, BadZipFile) as error:
             raise ValueError(f"{path}: no trajectory of rbsd_sym ({error})") from error
         return Trajectory(
             header["name"], t, columns, Outcome[header["outcome"]], header["report"],

@@ -11,6 +11,11 @@ import numpy as np
 
 from .symbols import TIME, Leaf, Scalar, is_number, leaves_of, to_array, to_expr
 
+_SIGNATURE = (
+    "(mbs, t, item, displacement, rotation, velocity, angular_velocity, stiffness, damping, "
+    "rotJ0, rotJ1, offset)"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class TracedForce:
@@ -58,8 +63,9 @@ def trace_force(
         )  # fmt: skip
     except (TypeError, AttributeError) as error:
         raise TypeError(
-            f"{where}: {error}; symbols know +, -, *, /, **, comparisons, numpy's functions of one "
-            "argument and rbsd_sym.where; other functions come from CasADi, such as casadi.atan2"
+            f"{where}: {error}; it is called as {_SIGNATURE}; symbols know +, -, *, /, **, "
+            "comparisons, numpy's functions of one argument and rbsd_sym.where; other functions "
+            "come from CasADi, such as casadi.atan2"
         ) from error
     values = _six_numbers(result, where)
     known = [TIME.expr, strain, rate, A0, A1]

@@ -20,6 +20,7 @@ FLOORS = (
     {"rotation", "dae", "trajectory", "symbols"},
     {"mechanics", "checks"},
     {"laws", "sensors", "user_force"},
+    {"elements"},
     {"scene"},
     {"formulations"},
     {"minimal", "model"},

@@ -225,7 +225,7 @@ def test_user_functions(row: tuple[Any, ...]) -> None:
 
 
 def test_wrong_kinds_of_thing() -> None:
-    with pytest.raises(TypeError, match=r"^scene 'bench', bodies: .* is no RigidBody"):
+    with pytest.raises(TypeError, match=r"^scene 'bench', bodies: .* each entry is a RigidBody"):
         scene(bodies=[3.0])
     with pytest.raises(TypeError, match=r"^connector 'joint', force: .* 1 positional argument"):
         with_force(lambda displacement: [0] * 6)
@@ -329,7 +329,7 @@ def test_export_of_what_cannot_be_named(model: rs.Model, tmp_path: Path) -> None
 def test_no_compiler(exported: Path, monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
     monkeypatch.setenv("PATH", str(exported))
     monkeypatch.setenv("CC", variable)
-    words = ("no C compiler found", "cc, gcc, clang", "works without")
+    words = ("no C compiler found", variable or "cc, gcc, clang", "works without")
     refused(rs.CompilerMissing, lambda: rs.load_c(exported), *words)
     with pytest.raises(rs.CompilerMissing, match=r"^[^\n]+$"):
         rs.load_c(exported)

@@ -41,7 +41,8 @@ def read_manifest(folder: Path) -> dict:
         raise ValueError(
             f"{folder}: no readable {MANIFEST} ({error}); export the model there again"
         ) from error
-    if not isinstance(manifest, dict) or "rbsd_sym" not in manifest:
+    wanted = {"rbsd_sym", "abi", "name", "digest", "functions", "files"}
+    if not isinstance(manifest, dict) or not wanted <= set(manifest):
         raise ValueError(f"{folder}: {MANIFEST} is not of rbsd_sym; choose another folder")
     return manifest
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -75,7 +76,7 @@ def load_c(
     chosen = _compiler(compiler)
     text = (folder / f"{name}.c").read_bytes() + (folder / f"{name}.h").read_bytes()
     key = hashlib.sha256(
-        b"\0".join([text, _identity(chosen).encode(), " ".join(flags).encode()])
+        b"\0".join([text, _identity(tuple(chosen)).encode(), " ".join(flags).encode()])
     ).hexdigest()[:24]
     library = _cache_folder() / f"{name}-{manifest['digest']}-{key}.so"
     if not library.exists():
@@ -106,22 +107,24 @@ def _check(folder: Path, manifest: dict, model: Model | None) -> None:
             )
 
 
-def _compiler(compiler: str | None) -> str:
-    wanted = [compiler] if compiler else [os.environ.get("CC", ""), "cc", "gcc", "clang"]
+def _compiler(compiler: str | None) -> list[str]:
+    chosen = compiler or os.environ.get("CC", "")
+    wanted = [chosen] if chosen else ["cc", "gcc", "clang"]
     for name in wanted:
-        found = shutil.which(name) if name else None
-        if found:
-            return found
+        words = shlex.split(name)  # $CC may carry flags, such as "gcc -m64"
+        if words and shutil.which(words[0]):
+            return words
     raise CompilerMissing(
-        f"no C compiler found ({', '.join(name for name in wanted if name)}); building C needs "
-        "one, everything else works without: use model.function(name)"
+        f"no C compiler found ({', '.join(wanted)}); building C needs one, everything else works "
+        "without: use model.function(name)"
     )
 
 
 @cache
-def _identity(compiler: str) -> str:
-    result = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False)
-    return f"{compiler} {result.stdout.splitlines()[:1]}"
+def _identity(compiler: tuple[str, ...]) -> str:
+    command = [*compiler, "--version"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    return f"{shutil.which(compiler[0])} {compiler} {result.stdout.splitlines()[:1]}"
 
 
 def _cache_folder() -> Path:
@@ -131,7 +134,7 @@ def _cache_folder() -> Path:
     return Path(chosen) if chosen else Path(base) / "rbsd_sym"
 
 
-def _build(source: Path, library: Path, compiler: str, flags: Sequence[str]) -> None:
+def _build(source: Path, library: Path, compiler: list[str], flags: Sequence[str]) -> None:
     """Compile under a temporary name and put it in place: half a library is never seen."""
     try:
         library.parent.mkdir(parents=True, exist_ok=True)
@@ -143,7 +146,7 @@ def _build(source: Path, library: Path, compiler: str, flags: Sequence[str]) -> 
         ) from error
     os.close(handle)
     command = [
-        compiler,
+        *compiler,
         "-std=c99",
         "-fPIC",
         "-shared",

@@ -7,7 +7,8 @@ import warnings
 import numpy as np
 
 from ..checks import at_default
-from ..scene import RigidBodySpringDamper, Scene
+from ..elements import RigidBodySpringDamper
+from ..scene import Scene
 
 _SOFT = 1e-2  # an axis softer than this, relative to the two others, is a hinge
 

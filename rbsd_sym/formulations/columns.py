@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from ..elements import Marker, RigidBody
 from ..mechanics import MarkerOnBody, inverse3
 from ..rotation import matrix_quat, quat_matrix, quat_product
-from ..scene import Marker, RigidBody
 from ..symbols import TIME, leaves_of, to_expr
 
 MARKER = 22  # p (3), R (9), q (4), v (3), w (3)

@@ -9,9 +9,9 @@ from functools import cached_property
 import casadi as ca
 
 from ..dae import Part
+from ..elements import GROUND, RigidBodySpringDamper
 from ..laws import Law, Response, SpringDamper, respond
 from ..mechanics import Body, MarkerOnBody, Motion, ground_motion, marker_motion, power
-from ..scene import GROUND, RigidBodySpringDamper
 from ..sensors import Quantity
 from ..symbols import TIME, to_expr
 from ..user_force import TracedForce

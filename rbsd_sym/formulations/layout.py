@@ -9,8 +9,9 @@ from typing import Protocol
 import casadi as ca
 
 from ..dae import Label, Turn
+from ..elements import GROUND, Marker, RigidBody
 from ..mechanics import Body, MarkerOnBody, Wrench, body_motion, shift_to_body
-from ..scene import GROUND, Marker, RigidBody, Scene
+from ..scene import Scene
 from ..symbols import TIME, to_expr
 from .columns import rotation_pair
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from ..checks import at_default
 from ..dae import Dae, Label, Part
+from ..elements import GROUND, Load, RigidBody
 from ..mechanics import Wrench, gyroscopic
-from ..scene import GROUND, Load, RigidBody, Scene
+from ..scene import Scene
 from ..symbols import TIME, Leaf, default_values, to_expr
 from .audit import audit
 from .columns import (

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from ..trajectory import Outcome
 from .driver import Run, Verdict
 
 
-def check_tolerances(where: str, rtol: float, atol: float) -> None:
-    """Both tolerances are positive finite numbers, rtol below 1.
+def check_options(integrator: Any) -> None:
+    """Tolerances and steps of an integrator are positive numbers, where they are given.
 
     Raises:
         ValueError: they are not.
     """
-    for name, value, top in (("rtol", rtol, 1.0), ("atol", atol, math.inf)):
-        if not (isinstance(value, (int, float)) and 0 < value < top):
-            raise ValueError(f"{where}: {name} {value!r}; it is a number in 0 ... {top}")
+    where = type(integrator).__name__
+    tops = {"rtol": 1.0, "atol": math.inf, "max_steps": math.inf, "max_step": math.inf,
+            "first_step": math.inf, "safety": math.inf}  # fmt: skip
+    for name, top in tops.items():
+        optional = name in ("max_step", "first_step")
+        if not hasattr(integrator, name) or (optional and getattr(integrator, name) is None):
+            continue
+        value = getattr(integrator, name)
+        whole = name != "max_steps" or isinstance(value, int)
+        if not (isinstance(value, (int, float)) and 0 < value < top and whole):
+            kind = "whole number above 0" if name == "max_steps" else f"number in 0 ... {top}"
+            raise ValueError(f"{where}: {name} {value!r}; it is a {kind}")
 
 
 def judge_runge_kutta(result: Run, max_steps: int) -> Verdict:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..model import Model
 from ..trajectory import Column, Experiment, Outcome, Samples, Signal, Trajectory
-from .signals import evaluate, is_constant, symbolic
+from .signals import evaluate, is_constant, raise_of_user, symbolic
 
 
 class Run(NamedTuple):
@@ -54,9 +54,11 @@ def run(
         if not consistent:
             return _not_consistent(model, experiment)
         experiment = Experiment(experiment.t, experiment.x, z, experiment.p, experiment.inputs)
-    integrator = _integrator(model, experiment, plugin, options)
+    integrator, kept = _integrator(model, experiment, plugin, options)
     built = time.perf_counter()
     result = _evaluate(integrator, experiment)
+    if result.failed:
+        raise_of_user(kept)
     stats = {ours: float(result.stats.get(theirs, np.nan)) for ours, theirs in count.items()}
     stats["time"] = time.perf_counter() - built
     stats["time_build"] = built - started
@@ -65,8 +67,8 @@ def run(
 
 def _integrator(
     model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any]
-) -> ca.Function:
-    """The integrator Function, kept with the model for runs of the same kind."""
+) -> tuple[ca.Function, list[Any]]:
+    """The integrator Function and what it calls back, kept with the model for such runs."""
     varying = tuple(s for s in experiment.inputs if not is_constant(s))
     constant = tuple(is_constant(s) for s in experiment.inputs)
     key = ("integrator", plugin, repr(sorted(options.items())), experiment.t.tobytes(), constant,
@@ -75,9 +77,15 @@ def _integrator(
         kept: list[Any] = list(varying)  # as long as the integrator, so that ids stay theirs
         dae = _dae(model, experiment.inputs, kept)
         grid = [float(t) for t in experiment.t]
-        function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
+        try:
+            function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
+        except RuntimeError as error:
+            raise ValueError(
+                f"model '{model.name}': CasADi refuses the options {dict(options)} of {plugin} "
+                f"({str(error).strip().splitlines()[-1]}); check linear_solver and options"
+            ) from error
         model.memo[key] = (function, kept)
-    return model.memo[key][0]
+    return model.memo[key]
 
 
 def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str, Any]:
@@ -149,12 +157,13 @@ def _trajectory(
     else:
         verdict = Verdict(Outcome.not_finite, None, "check parameters and start values")
     t_last = experiment.t[max(n, 1) - 1]
-    t_fail = verdict.t if verdict.t is not None and verdict.t >= t_last else t_last
-    stats["t_failed"] = float(t_fail)
+    known = verdict.t is not None and verdict.t >= t_last
+    t_fail = verdict.t if known else t_last
+    stats["t_failed"] = float(t_fail or t_last)
     where = _fastest(model, experiment, result.x[n - 1], result.z[n - 1], t_last)
     report = (
-        f"{verdict.outcome.value} at t = {t_fail:.9g} s; last saved state at t = {t_last:.9g} s, "
-        f"{where}; {verdict.advice}"
+        f"{verdict.outcome.value} {'at' if known else 'after'} t = {t_fail:.9g} s; last saved "
+        f"state at t = {t_last:.9g} s, {where}; {verdict.advice}"
     )
     return assemble(model, experiment, result.x[:n], result.z[:n], verdict.outcome, report, stats)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..model import Model
 from ..trajectory import Experiment, Trajectory
-from .checks import check_tolerances, judge_runge_kutta
+from .checks import check_options, judge_runge_kutta
 from .driver import run
 
 
@@ -30,7 +30,7 @@ class ExplicitRK:
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        check_tolerances("ExplicitRK", self.rtol, self.atol)
+        check_options(self)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
         """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
-from .checks import check_tolerances
+from .checks import check_options
 from .driver import Run, Verdict, run
 
 _FLOOR = 1e-15  # of rtol; below it IDAS refuses, for want of digits
@@ -62,9 +62,7 @@ class Idas:
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        check_tolerances("Idas", self.rtol, self.atol)
-        if not 0 < self.safety < math.inf:
-            raise ValueError(f"Idas: safety {self.safety}; it is a positive number")
+        check_options(self)
         if self.max_order not in range(1, 6):
             raise ValueError(f"Idas: max_order {self.max_order}; BDF orders are 1 ... 5")
 

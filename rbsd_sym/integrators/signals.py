@@ -46,12 +46,29 @@ def evaluate(signal: Signal, t: ca.MX, kept: list[Any]) -> ca.MX:
     return call(t)
 
 
+def raise_of_user(kept: list[Any]) -> None:
+    """Raise what a user's input function raised during the integration, if anything.
+
+    Raises:
+        ValueError: from the user's exception.
+    """
+    for call in kept:
+        error = getattr(call, "error", None)
+        if error is not None:
+            call.error = None
+            raise ValueError(
+                f"input function {getattr(call.signal, '__name__', call.signal)!r}: "
+                f"{type(error).__name__}: {error}; it takes a time in s and returns one number"
+            ) from error
+
+
 class _Call(ca.Callback):
     """A Python function of time; its derivative, which only Rosenbrock asks for, by differences."""
 
     def __init__(self, signal: Callable[[float], float]) -> None:
         ca.Callback.__init__(self)
         self.signal = signal
+        self.error: Exception | None = None
         self.construct("signal", {"enable_fd": True})
 
     def get_n_in(self) -> int:
@@ -61,4 +78,8 @@ class _Call(ca.Callback):
         return 1
 
     def eval(self, arg: list[ca.DM]) -> list[float]:
-        return [float(self.signal(float(arg[0])))]
+        try:
+            return [float(self.signal(float(arg[0])))]
+        except Exception as error:
+            self.error = error  # CasADi turns it into a failed evaluation; the driver raises it
+            raise
