@@ -115,8 +115,11 @@ def _finish(options: argparse.Namespace, trajectory: rs.Trajectory, columns: Any
     chosen = options.columns or columns or list(trajectory.states[:3])
     if len(trajectory.t) > 1:
         figure = rs.plots.trajectory(trajectory, list(chosen))
-        figure.savefig(folder / f"{trajectory.name}.png", dpi=120)
-        print(f"wrote {folder / trajectory.name}.png")
+        picture = folder / f"{trajectory.name}.png"
+        unfinished = picture.with_suffix(".part")  # whole or not at all
+        figure.savefig(unfinished, dpi=120, format="png")
+        unfinished.replace(picture)
+        print(f"wrote {picture}")
     print(f"wrote {trajectory.save(folder / f'{trajectory.name}.npz')}")
     counts = ", ".join(f"{key} {value:.6g}" for key, value in trajectory.stats.items())
     print(f"{trajectory}\n{counts}")

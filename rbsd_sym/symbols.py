@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any, TypeAlias, Union
 
@@ -133,6 +134,7 @@ for _name, _function in {
     setattr(Scalar, _name, _unary(_function))
 
 
+_UNIT = re.compile(r"[\w .^*/()%-]{0,32}")
 _C_WORDS = frozenset(
     "auto break case char const continue default do double else enum extern float for goto if "
     "inline int long register restrict return short signed sizeof static struct switch typedef "
@@ -179,6 +181,12 @@ class Leaf(Scalar):
             raise TypeError(
                 f"{type(self).__name__.lower()} '{name}': unit {unit!r}; it is a string such as "
                 "'N/m' (the order is Param(name, value, unit), Input(name, unit, value))"
+            )
+        if not _UNIT.fullmatch(unit) or "*/" in unit or "/*" in unit:
+            raise ValueError(
+                f"{type(self).__name__.lower()} '{name}': unit {unit!r}; units are printed into C "
+                "comments and tables: up to 32 letters, digits, spaces and . ^ * / ( ) - %, without "
+                "/* or */; write it as 'N m/rad'"
             )
         super().__init__(ca.SX.sym(name))
         self.name, self.unit, self.value = name, unit, float(value)

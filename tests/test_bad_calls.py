@@ -75,6 +75,12 @@ def test_wrong_types(make: Callable[[], Any], words: str) -> None:
         make()
 
 
+@pytest.mark.parametrize("unit", ["*/ int x; /*", "a\nb", "|", "m" * 33, "N\\"])
+def test_units_cannot_leave_a_c_comment(unit: str) -> None:
+    with pytest.raises(ValueError, match="printed into C comments"):
+        rs.Param("k", 1.0, unit)
+
+
 def test_symbol_may_not_hide_an_output() -> None:
     body = rs.RigidBody("b", rs.Param("energy", 10.0), (1, 1, 1))
     with pytest.raises(ValueError, match="'energy' is a symbol, but also an output"):
