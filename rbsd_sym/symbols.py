@@ -185,7 +185,7 @@ class Leaf(Scalar):
         if not _UNIT.fullmatch(unit) or "*/" in unit or "/*" in unit:
             raise ValueError(
                 f"{type(self).__name__.lower()} '{name}': unit {unit!r}; units are printed into C "
-                "comments and tables: up to 32 letters, digits, spaces and . ^ * / ( ) - %, without "
+                "comments and tables: at most 32 letters, digits, spaces and .^*/()%-, without "
                 "/* or */; write it as 'N m/rad'"
             )
         super().__init__(ca.SX.sym(name))

@@ -134,3 +134,14 @@ def test_failure_between_outputs_says_after() -> None:
     unknown = rs.simulate(model, [0, 0.5, 2], rs.ExplicitRK(max_steps=2000), throw=False)
     assert "after t = 0.5 s" in unknown.report
     np.testing.assert_allclose(unknown["b.position"][-1, 0], 2.0, rtol=1e-6)
+
+
+def test_an_input_function_that_changes_its_mind_is_asked_again() -> None:
+    strength = [1.0]
+    model = pushed()
+    push = lambda t: strength[0] + 0 * t  # noqa: E731
+    first = rs.simulate(model, 1.0, inputs={"push": push})["b.position"][-1, 0]
+    strength[0] = 2.0
+    second = rs.simulate(model, 1.0, inputs={"push": push})["b.position"][-1, 0]
+    assert first == pytest.approx(0.5, rel=1e-9)
+    assert second == pytest.approx(1.0, rel=1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -38,8 +39,13 @@ class Kind:
         return len({place for place in self.places if place is not None})
 
 
-class _Sight(tuple[Response, list[Body], list[MarkerOnBody], list[Motion]]):
-    """Response of a connector, its bodies, markers and their motions."""
+class _Sight(NamedTuple):
+    """What a kernel sees of its connector."""
+
+    response: Response
+    bodies: list[Body]
+    markers: list[MarkerOnBody]
+    motions: list[Motion]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,21 +139,21 @@ class ConnectorWriter:
             c[k + 72 : k + 78], c[k + 78 : k + 84], user,
         )  # fmt: skip
         response = respond(kind.law, numbers, TIME.expr, *motions)
-        return _Sight((response, bodies, markers, motions))
+        return _Sight(response, bodies, markers, motions)
 
     def _build_rates(self, x: ca.SX, c: ca.SX) -> ca.Function:
-        response, bodies, markers, _motions = self._see(x, c)
-        rates, first = [ca.SX.zeros(6)] * len(bodies), 2 * MARKER + _NUMBERS
-        for place, marker, wrench in zip(
-            self.kind.places, markers, (response.wrench0, response.wrench1), strict=True
-        ):
+        sight = self._see(x, c)
+        rates, first = [ca.SX.zeros(6)] * len(sight.bodies), 2 * MARKER + _NUMBERS
+        wrenches = (sight.response.wrench0, sight.response.wrench1)
+        for place, marker, wrench in zip(self.kind.places, sight.markers, wrenches, strict=True):
             if place is not None:
                 compliance = c[first + COMPLIANCE * place : first + COMPLIANCE * (place + 1)]
-                rates[place] += accelerations(bodies[place], marker, wrench, compliance)
+                rates[place] += accelerations(sight.bodies[place], marker, wrench, compliance)
         return kernel("connector", x, c, ca.vertcat(*rates), ca.SX(0, 1))
 
     def _build_measure(self, x: ca.SX, c: ca.SX, quantity: Quantity) -> ca.Function:
-        response, _bodies, _markers, motions = self._see(x, c)
+        sight = self._see(x, c)
+        response, motions = sight.response, sight.motions
         parts = [self.layout.kinematic_rates(part) for part in self.layout.split(x)]
         c_rate = ca.SX.sym("c_rate", c.numel())
         energy = response.potential_energy

@@ -68,24 +68,28 @@ def run(
 def _integrator(
     model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any]
 ) -> tuple[ca.Function, list[Any]]:
-    """The integrator Function and what it calls back, kept with the model for such runs."""
-    varying = tuple(s for s in experiment.inputs if not is_constant(s))
-    constant = tuple(is_constant(s) for s in experiment.inputs)
-    key = ("integrator", plugin, repr(sorted(options.items())), experiment.t.tobytes(), constant,
-           tuple(id(s) for s in varying))  # fmt: skip
-    if key not in model.memo:
-        kept: list[Any] = list(varying)  # as long as the integrator, so that ids stay theirs
-        dae = _dae(model, experiment.inputs, kept)
-        grid = [float(t) for t in experiment.t]
-        try:
-            function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
-        except RuntimeError as error:
-            raise ValueError(
-                f"model '{model.name}': CasADi refuses the options {dict(options)} of {plugin} "
-                f"({str(error).strip().splitlines()[-1]}); check linear_solver and options"
-            ) from error
-        model.memo[key] = (function, kept)
-    return model.memo[key]
+    """The integrator Function, and what it calls back, which must live as long.
+
+    It is kept with the model for the next run of the same kind, unless an input is a function: that
+    may answer differently next time.
+    """
+    inputs, grid = experiment.inputs, [float(t) for t in experiment.t]
+    fixed = all(is_constant(s) for s in inputs)
+    key = ("integrator", plugin, repr(sorted(options.items())), experiment.t.tobytes())
+    if fixed and key in model.memo:
+        return model.memo[key], []
+    kept: list[Any] = []
+    dae = _dae(model, inputs, kept)
+    try:
+        function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
+    except RuntimeError as error:
+        raise ValueError(
+            f"model '{model.name}': CasADi refuses the options {dict(options)} of {plugin} "
+            f"({str(error).strip().splitlines()[-1]}); check linear_solver and options"
+        ) from error
+    if fixed:
+        model.memo[key] = function
+    return function, kept
 
 
 def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str, Any]:
