@@ -130,8 +130,21 @@ class Model:
             )  # fmt: skip
         return self.memo[key]
 
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Names of the full scene's states that are not states of this model."""
+        if self.dae.expansion is None:
+            return ()
+        kept = {label.name for label in self.x_labels}
+        return tuple(v.name for v in self.dae.expansion.labels if v.name not in kept)
+
     def measure(self, name: str, trajectory: Trajectory) -> Column:
-        """An output along a trajectory of this model."""
+        """An output, or a state that was left out, along a trajectory of this model."""
+        if name in self.left_out:
+            every = self.measure("states", trajectory)
+            labels = self.dae.expansion.labels if self.dae.expansion else ()
+            row = [label.name for label in labels].index(name)
+            return Column(every.values[:, row], labels[row].unit)
         output = self.dae.outputs.get(name)
         values = self.function(name)(
             trajectory.t[None, :],
@@ -161,9 +174,7 @@ class Model:
         t = trajectory.t[picked]
         flat = np.array(ca.DM(self.reduction.transverse(t[None, :], *groups)))
         blocks = flat.reshape(n, len(picked), n).transpose(1, 0, 2)
-        values = np.linalg.eigvals(blocks)
-        rates = values.real.max(axis=1)
-        rates[rates <= _ROUNDING * (1 + np.abs(values).max(axis=1))] = 0.0
+        rates = _growth_rates(blocks)
         worst = int(np.argmax(rates))
         exponent = float(np.sum(np.diff(t) * (rates[1:] + rates[:-1]) / 2))
         if not self.reduction.varies:
@@ -197,6 +208,14 @@ class Model:
         else:
             lines.append("states dropped: none")
         return "\n".join(lines + [f"note: {note}" for note in self.dae.notes])
+
+
+def _growth_rates(blocks: np.ndarray) -> np.ndarray:
+    """Largest real part of the eigenvalues of each block (k, n, n), 0 within their rounding."""
+    values = np.linalg.eigvals(blocks)
+    rates = values.real.max(axis=1)
+    rates[rates <= _ROUNDING * (1 + np.abs(values).max(axis=1))] = 0.0
+    return rates
 
 
 def derive(dae: Dae, reduction: Reduction | None = None) -> Model:

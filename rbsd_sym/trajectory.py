@@ -87,6 +87,7 @@ class Trajectory:
         stats: steps, evaluations, time in s.
         parameters: values used.
         digest: of the model.
+        also: states the model left out; evaluated on demand, and always saved.
     """
 
     name: str
@@ -99,6 +100,7 @@ class Trajectory:
     states: tuple[str, ...]
     digest: str
     more: Callable[[str, Trajectory], Column] | None = field(default=None, repr=False)
+    also: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.column(name).values
@@ -140,6 +142,8 @@ class Trajectory:
         """
         target = Path(path)
         target = target if target.suffix == ".npz" else target.with_name(target.name + ".npz")
+        for name in self.also:
+            self.column(name)
         header = {
             "format": _FORMAT, "name": self.name, "outcome": self.outcome.name,
             "report": self.report, "stats": dict(self.stats), "states": self.states,

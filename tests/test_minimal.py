@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -281,3 +282,22 @@ def test_both_spectra_together_are_the_full_one() -> None:
     for value in whole[np.abs(whole) > 1e-3]:
         assert np.abs(ours - value).min() < 1e-10 * np.abs(whole).max()
     assert len(ours) == len(whole)
+
+
+def test_saved_file_speaks_of_the_full_scene(tmp_path: Path) -> None:
+    trajectory = rs.simulate(rs.compile_scene(reference_scenes.build("mini")), 0.1)
+    saved = rs.Trajectory.load(trajectory.save(tmp_path / "mini"))
+    assert set(saved["b0.q_w"]) == {1.0}
+    assert set(saved["b0.p_x"]) == {0.0}
+    assert saved.state_at_end == trajectory.state_at_end
+    with pytest.raises(ValueError, match="no column 'b0.position'"):
+        saved["b0.position"]  # an output nobody asked for before saving
+
+
+def test_planar_state_survives_saving(tmp_path: Path) -> None:
+    model = rs.compile_scene(chain(1, rs.Consistent()))
+    trajectory = rs.simulate(model, 0.2)
+    saved = rs.Trajectory.load(trajectory.save(tmp_path / "chain"))
+    half = trajectory["b0.angle_z"] / 2
+    np.testing.assert_allclose(saved["b0.q_w"], np.cos(half), atol=1e-15)
+    np.testing.assert_allclose(saved["b0.q_z"], np.sin(half), atol=1e-15)

@@ -204,28 +204,12 @@ def assemble(
     columns |= {label.name: Column(z[:, i], label.unit) for i, label in enumerate(dae.z_labels)}
     u = input_values(experiment.inputs, t)
     columns |= {label.name: Column(u[i], label.unit) for i, label in enumerate(dae.u_labels)}
-    columns |= _left_out(model, experiment.p, x, z, u, t)
     states = tuple(label.name for label in (*dae.x_labels, *dae.z_labels))
     parameters = {label.name: float(v) for label, v in zip(dae.p_labels, experiment.p, strict=True)}
     return Trajectory(
         model.name, t, columns, outcome, report, stats, parameters, states, model.digest,
-        model.measure,
+        model.measure, model.left_out,
     )  # fmt: skip
-
-
-def _left_out(
-    model: Model, p: np.ndarray, x: np.ndarray, z: np.ndarray, u: np.ndarray, t: np.ndarray
-) -> dict[str, Column]:
-    """Columns of the full scene's states that the model does not have."""
-    if not model.dae.expansion:
-        return {}
-    values = np.array(model.function("states")(t[None, :], x.T, z.T, u, p))
-    kept = {label.name for label in model.x_labels}
-    return {
-        label.name: Column(values[i], label.unit)
-        for i, label in enumerate(model.dae.expansion.labels)
-        if label.name not in kept
-    }
 
 
 def _consistent(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
