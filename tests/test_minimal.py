@@ -290,7 +290,7 @@ def test_saved_file_speaks_of_the_full_scene(tmp_path: Path) -> None:
     assert set(saved["b0.q_w"]) == {1.0}
     assert set(saved["b0.p_x"]) == {0.0}
     assert saved.state_at_end == trajectory.state_at_end
-    with pytest.raises(ValueError, match="no column 'b0.position'"):
+    with pytest.raises(ValueError, match=r"no column 'b0\.position'"):
         saved["b0.position"]  # an output nobody asked for before saving
 
 
