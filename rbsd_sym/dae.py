@@ -284,7 +284,8 @@ class Reduction:
         """Jacobian of the dropped rates by the dropped states, on the kept manifold.
 
         Function (t, x, z, u, p). The full Jacobian is block triangular there, so its spectrum and
-        that of the small model together are the full one.
+        that of the small model together are the full one (but for one zero, the norm of the
+        quaternion, where an angle stands for it).
         """
         return self.build()
 

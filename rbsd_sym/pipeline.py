@@ -145,12 +145,13 @@ def make_experiment(
 
 
 def _check_kept(model: Model, start: Mapping[str, float]) -> None:
-    for dropped in model.dropped:
-        if dropped.name in start:
-            raise ValueError(
-                f"model '{model.name}': state '{dropped.name}' was left out at "
-                f"{dropped.value:.6g}; a start elsewhere needs compile_scene(minimal=False)"
-            )
+    still = {dropped.name: dropped.value for dropped in model.dropped}
+    for name in set(start) & set(model.left_out):
+        how = f"left out at {still[name]:.6g}" if name in still else "replaced by an angle"
+        raise ValueError(
+            f"model '{model.name}': state '{name}' was {how}; a start elsewhere needs "
+            "compile_scene(minimal=False)"
+        )
 
 
 def _check_known(

@@ -136,6 +136,12 @@ def test_failure_between_outputs_says_after() -> None:
     np.testing.assert_allclose(unknown["b.position"][-1, 0], 2.0, rtol=1e-6)
 
 
+def test_an_input_function_gives_numbers_not_symbols() -> None:
+    strength = rs.Param("strength", 2.0)
+    with pytest.raises(ValueError, match="uses the symbol strength; it returns a number"):
+        rs.simulate(pushed(), 1.0, inputs={"push": lambda t: strength * t})
+
+
 def test_an_input_function_that_changes_its_mind_is_asked_again() -> None:
     strength = [1.0]
     model = pushed()

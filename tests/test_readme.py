@@ -69,6 +69,18 @@ def test_models_run_and_export(
         assert list(tmp_path.glob(f"*/*.{suffix}")), suffix
 
 
+@pytest.mark.parametrize(
+    ("law", "ratio", "within"),
+    [(rs.Standard(), 1.46, 5e-3), (rs.Intrinsic(), 0.990, 5e-4), (rs.Consistent(), 1.0, 1e-6)],
+    ids=lambda value: type(value).__name__,
+)
+def test_pair_makes_the_energy_its_law_makes(law: object, ratio: float, within: float) -> None:
+    """E/E0 after 1 s, from converged runs, rounded as printed."""
+    scene = command_line.load_model_file(ROOT / "models" / "pair.py").scene(law)
+    energy = rs.simulate(rs.compile_scene(scene), 1.0)["energy"]
+    assert energy[-1] / energy[0] == pytest.approx(ratio, abs=within)
+
+
 def test_models_cover_what_the_readme_says() -> None:
     assert {path.stem for path in MODELS} == {
         "chain", "engine_mounts", "mini", "pair", "user_force",

@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..symbols import Scalar, is_number, to_expr
+from ..symbols import Scalar, is_number, leaves_of, to_expr
 from ..trajectory import Samples, Signal
 
 
@@ -21,6 +21,9 @@ def symbolic(signal: Signal, t: ca.SX) -> ca.SX | None:
 
     A traced function is exact and as fast as the model itself. One that branches on t, or calls
     what knows only floats, cannot be traced.
+
+    Raises:
+        ValueError: it uses a Param or Input, which has no value outside the model.
     """
     if not callable(signal):
         return None
@@ -28,6 +31,12 @@ def symbolic(signal: Signal, t: ca.SX) -> ca.SX | None:
         value = signal(Scalar(t))
     except Exception:  # whatever a user's function raises on a symbol, floats may still do
         return None
+    if leaves_of(value):
+        names = ", ".join(sorted(leaf.name for leaf in leaves_of(value)))
+        raise ValueError(
+            f"input function {getattr(signal, '__name__', signal)!r}: uses the symbol {names}; it "
+            "returns a number; give the value, or make the expression part of the scene"
+        )
     return to_expr(value) if is_number(value) else None
 
 
