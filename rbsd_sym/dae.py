@@ -80,18 +80,50 @@ class Turn:
 
 
 @dataclass(frozen=True)
+class Balance:
+    """A motion without inertia: its rows of `ode` hold a force or torque, which must vanish.
+
+    Arguments:
+        coordinates, velocities: rows of the motion; coordinates' = kinematics(both).
+        idle: those of the velocities that have no inertia.
+        kinematics: Function (coordinates, velocities) -> rates, linear in the velocities.
+    """
+
+    name: str
+    coordinates: tuple[int, ...]
+    velocities: tuple[int, ...]
+    idle: tuple[int, ...]
+    kinematics: ca.Function
+
+    def basis(self, coordinates: ca.SX) -> ca.SX:
+        """Rates of the coordinates for unit velocities, a column each."""
+        units = ca.horzsplit(ca.SX.eye(len(self.velocities)))
+        return ca.horzcat(*(self.kinematics(coordinates, unit) for unit in units))
+
+    def away(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Symbols of coordinates and start, and the way between along each velocity."""
+        c, start = (ca.SX.sym(name, len(self.coordinates)) for name in ("c", "start"))
+        return c, start, self.basis(c).T @ (c - start)
+
+
+@dataclass(frozen=True)
 class Expansion:
     """The way back from a reduced model: the states of the full scene.
 
     Arguments:
-        states: each full state as an expression of x and p.
+        states: each full state as an expression of x, z and p, as the parts read it.
         labels: their names, units and start values.
-        rows: for each full state its row in ode, None for one that is left out.
+        rows: for each full state its row in ode, None for one that is no state.
+        alg_rows: for each full state its row in alg, None for one that has inertia.
+        followers: motions whose coordinates are algebraic: no part reads their velocities (0 stands
+            in `states`), which follow from the rates of the coordinates (`Dae.measured`).
     """
 
     states: ca.SX
     labels: tuple[Label, ...]
     rows: tuple[int | None, ...]
+    alg_rows: tuple[int | None, ...]
+    followers: tuple[Balance, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -105,6 +137,7 @@ class Dae:
         requested: names of the outputs in y, in order.
         notes: what the user should know (audit of the scene, what was left out).
         turns: the quaternions among the states, so that passes know them without knowing bodies.
+        balances: the motions without inertia, until a pass has made them algebraic.
         expansion: in a reduced model, what parts and outputs read instead of x.
         source: text that determines the model, for its digest.
     """
@@ -126,22 +159,25 @@ class Dae:
     requested: tuple[str, ...]
     notes: tuple[str, ...] = ()
     turns: tuple[Turn, ...] = ()
+    balances: tuple[Balance, ...] = ()
     expansion: Expansion | None = None
     source: str = field(default="", repr=False)
 
     @cached_property
     def _rows(self) -> tuple[ca.SX, ca.SX]:
         ode, alg = [ca.SX(0)] * self.x.numel(), [ca.SX(0)] * self.z.numel()
-        place = self.expansion.rows if self.expansion else range(len(ode))
+        way = self.expansion
         for part in self.parts:
             reads = self._pick(self.states, part.reads)
             d_ode, d_alg = self.contribution(part, reads)
-            if self.expansion and not reads.is_valid_input():  # some reads never move
+            if way and not reads.is_valid_input():  # some reads never move
                 d_ode = fold(d_ode, ca.vertcat(*self.symbols))
             for i, row in enumerate(part.ode_rows):
-                j = place[row]
+                j, k = (way.rows[row], way.alg_rows[row]) if way else (row, None)
                 if j is not None:
                     ode[j] = ode[j] + d_ode[i]
+                if k is not None:
+                    alg[k] = alg[k] + d_ode[i]
             for i, row in enumerate(part.alg_rows):
                 alg[row] = alg[row] + d_alg[i]
         rows = ca.cse(ca.vertcat(ca.SX(0, 1), *ode, *alg))
@@ -151,6 +187,29 @@ class Dae:
     def states(self) -> ca.SX:
         """What parts and outputs read: the states of the full scene."""
         return self.expansion.states if self.expansion else self.x
+
+    @cached_property
+    def measured(self) -> ca.SX:
+        """What outputs read: `states` with the velocities of algebraic coordinates.
+
+        They follow from 0 = d alg/dt, with the rates of Inputs counted as zero.
+        """
+        if self.expansion is None or not self.expansion.followers:
+            return self.states
+        states, rates = list(ca.vertsplit(self.states)), self._rates_of_z
+        for motion in self.expansion.followers:
+            coordinates = self._pick(self.states, motion.coordinates)
+            basis = motion.basis(coordinates)
+            moved = ca.jtimes(coordinates, self.z, rates)
+            velocities = ca.solve(basis.T @ basis, basis.T @ moved)
+            for row, value in zip(motion.velocities, ca.vertsplit(velocities), strict=True):
+                states[row] = value
+        return ca.cse(ca.vertcat(*states))
+
+    @property
+    def _rates_of_z(self) -> ca.SX:
+        push = ca.jtimes(self.alg, self.x, self.ode) + ca.jacobian(self.alg, self.t)
+        return -ca.solve(ca.jacobian(self.alg, self.z), push)
 
     @property
     def symbols(self) -> list[ca.SX]:
@@ -190,7 +249,7 @@ class Dae:
         self._check_output(name)
         out = self.outputs[name]
         kernel, constants = out.build()
-        x, z = self._pick(self.states, out.reads), self._pick(self.z, out.reads_z)
+        x, z = self._pick(self.measured, out.reads), self._pick(self.z, out.reads_z)
         return kernel(self.t, x, z, constants)
 
     def _check_output(self, name: str) -> None:
@@ -209,6 +268,21 @@ class Dae:
     @cached_property
     def _start(self) -> ca.Function:
         return ca.Function("start", [self.p], [self.x_start, self.z_start])
+
+    def consistent(
+        self, t: float, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray
+    ) -> tuple[np.ndarray, bool]:
+        """The z that solves alg = 0, by Newton's method from the given z, and whether it does."""
+        residual = ca.substitute(
+            self.alg, ca.vertcat(self.t, self.x, self.u, self.p),
+            ca.vertcat(t, ca.DM(x), ca.DM(u), ca.DM(p)),
+        )  # fmt: skip
+        if ca.jacobian_sparsity(residual, self.z).is_singular():
+            return z, False
+        options = {"error_on_fail": False, "abstol": 1e-13, "max_iter": 50}
+        newton = ca.rootfinder("start", "newton", {"x": self.z, "g": residual}, options)
+        value = np.array(newton(z, [])).reshape(-1)
+        return value, bool(newton.stats()["success"]) and bool(np.isfinite(value).all())
 
     def verify(self) -> None:
         """Check sizes, labels, rows and free symbols.
@@ -273,10 +347,12 @@ class Reduction:
 
     Arguments:
         dropped: the states that are gone.
+        inertial: for each whether its row is a rate, or a force that must vanish.
         build: makes `transverse`, when it is first asked for.
     """
 
     dropped: tuple[Dropped, ...]
+    inertial: tuple[bool, ...]
     build: Callable[[], ca.Function]
 
     @cached_property

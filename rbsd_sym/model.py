@@ -11,11 +11,13 @@ import casadi as ca
 import numpy as np
 
 from .dae import Dae, Dropped, Label, Reduction, table
+from .spectra import growth_exponent, growth_rates
 from .trajectory import Column, Trajectory
 from .version import VERSION
 
-_EIGENVALUE_WORK = 2e8  # cube of the block's size times the number of points: about a second
-_ROUNDING = 1e-6  # of a defective zero eigenvalue: sqrt(epsilon) with room for its scale
+_EIGENVALUE_WORK = 2e7  # cube of the block's size times the number of points: about 0.1 s
+_PROPAGATED = 60  # states left out, up to which their propagator is affordable
+_POINTS = 400  # for it
 _JACOBIAN = re.compile(r"d(ode|alg|out)_d([xzup])")
 
 
@@ -95,8 +97,10 @@ class Model:
         Raises:
             ValueError: no function of that name.
         """
-        if name in ("ode", "alg", "out", "states"):
+        if name in ("ode", "alg", "out"):
             return getattr(self.dae, name)
+        if name == "states":
+            return self.dae.measured
         match = _JACOBIAN.fullmatch(name)
         if match:
             return ca.jacobian(getattr(self.dae, match[1]), getattr(self.dae, match[2]))
@@ -135,7 +139,7 @@ class Model:
         """Names of the full scene's states that are not states of this model."""
         if self.dae.expansion is None:
             return ()
-        kept = {label.name for label in self.x_labels}
+        kept = {label.name for label in (*self.x_labels, *self.dae.z_labels)}
         return tuple(v.name for v in self.dae.expansion.labels if v.name not in kept)
 
     def measure(self, name: str, trajectory: Trajectory) -> Column:
@@ -160,26 +164,37 @@ class Model:
         """How fast a disturbance of the states left out grows along a trajectory.
 
         From the eigenvalues of the transverse Jacobian at saved points (up to 50, fewer for large
-        blocks); real parts within the rounding of a multiple zero count as zero.
+        blocks); real parts within the rounding of a multiple zero count as zero. Where these tell
+        of growth while the block varies, its propagator over the saved points has the last word.
         """
-        n = len(self.dropped)
+        n, start = len(self.dropped), float(trajectory.t[0])
         if n == 0 or self.reduction is None:
-            return Growth(0.0, float(trajectory.t[0]), 0.0)
-        dae = self.dae
-        count = int(np.clip(_EIGENVALUE_WORK / n**3, 2, 50)) if self.reduction.varies else 1
-        last = len(trajectory.t) - 1
+            return Growth(0.0, start, 0.0)
+        inertial = np.array(self.reduction.inertial)
+        if not self.reduction.varies:
+            rate = float(growth_rates(self._transverse(trajectory, 1)[1], inertial)[0])
+            return Growth(rate, start, rate * float(trajectory.t[-1] - start))
+        count = int(np.clip(_EIGENVALUE_WORK / n**3, 2, 50))
+        t, blocks = self._transverse(trajectory, count)
+        rates = growth_rates(blocks, inertial)
+        worst = int(np.argmax(rates))
+        exponent = float(np.sum(np.diff(t) * (rates[1:] + rates[:-1]) / 2))
+        if exponent > 0 and inertial.all() and n <= _PROPAGATED:
+            propagated = growth_exponent(*self._transverse(trajectory, _POINTS))
+            exponent = exponent if propagated is None else propagated
+        return Growth(float(rates[worst]), float(t[worst]), exponent)
+
+    def _transverse(self, trajectory: Trajectory, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Times and transverse Jacobians (k, n, n) at up to `count` of the saved points."""
+        if self.reduction is None:
+            raise ValueError(f"model '{self.name}': nothing was left out of it")
+        n, last, dae = len(self.dropped), len(trajectory.t) - 1, self.dae
         picked = np.linspace(0, last, min(last + 1, count)).astype(int)
         groups = (self._columns(trajectory, labels)[:, picked] for labels in
                   (dae.x_labels, dae.z_labels, dae.u_labels, dae.p_labels))  # fmt: skip
         t = trajectory.t[picked]
         flat = np.array(ca.DM(self.reduction.transverse(t[None, :], *groups)))
-        blocks = flat.reshape(n, len(picked), n).transpose(1, 0, 2)
-        rates = _growth_rates(blocks)
-        worst = int(np.argmax(rates))
-        exponent = float(np.sum(np.diff(t) * (rates[1:] + rates[:-1]) / 2))
-        if not self.reduction.varies:
-            exponent = float(rates[0] * (trajectory.t[-1] - trajectory.t[0]))
-        return Growth(float(rates[worst]), float(t[worst]), exponent)
+        return t, flat.reshape(n, len(picked), n).transpose(1, 0, 2)
 
     @staticmethod
     def _columns(trajectory: Trajectory, labels: tuple[Label, ...]) -> np.ndarray:
@@ -208,14 +223,6 @@ class Model:
         else:
             lines.append("states dropped: none")
         return "\n".join(lines + [f"note: {note}" for note in self.dae.notes])
-
-
-def _growth_rates(blocks: np.ndarray) -> np.ndarray:
-    """Largest real part of the eigenvalues of each block (k, n, n), 0 within their rounding."""
-    values = np.linalg.eigvals(blocks)
-    rates = values.real.max(axis=1)
-    rates[rates <= _ROUNDING * (1 + np.abs(values).max(axis=1))] = 0.0
-    return rates
 
 
 def derive(dae: Dae, reduction: Reduction | None = None) -> Model:

@@ -19,7 +19,7 @@ import numpy as np
 from .dae import Dae, Label
 from .formulations import ModelWarning, Quaternion
 from .integrators import Idas
-from .minimal import reduce
+from .minimal import balance, reduce
 from .model import Model, derive
 from .scene import Scene
 from .symbols import is_number
@@ -67,7 +67,7 @@ def compile_scene(
         ValueError: the scene cannot be written in these coordinates.
     """
     dae = (formulation or Quaternion()).write(scene)
-    return derive(*reduce(dae)) if minimal else derive(dae)
+    return derive(*reduce(dae)) if minimal else derive(balance(dae))
 
 
 def simulate(

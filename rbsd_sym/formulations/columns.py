@@ -8,7 +8,7 @@ import numpy as np
 from ..elements import Marker, RigidBody
 from ..mechanics import MarkerOnBody, inverse3
 from ..rotation import matrix_quat, quat_matrix, quat_product
-from ..symbols import TIME, leaves_of, to_expr
+from ..symbols import TIME, Scalar, leaves_of, to_expr
 
 MARKER = 22  # p (3), R (9), q (4), v (3), w (3)
 INERTIA = 18  # inertia (9), its inverse (9)
@@ -56,15 +56,36 @@ def marker_of(c: ca.SX) -> MarkerOnBody:
     return MarkerOnBody(c[:3], ca.reshape(c[3:12], 3, 3), c[12:16], c[16:19], c[19:22])
 
 
+def has_mass(body: RigidBody) -> bool:
+    """Whether the mass is not a plain zero."""
+    return not _is_plain_zero(body.mass)
+
+
+def axes_without_inertia(body: RigidBody) -> tuple[int, ...]:
+    """Body axes whose row of the inertia is plain zeros: all three, or the axis of a thin rod."""
+    return tuple(i for i in range(3) if all(_is_plain_zero(v) for v in body.inertia[i]))
+
+
+def _is_plain_zero(value: object) -> bool:
+    return not isinstance(value, Scalar) and float(value) == 0.0  # type: ignore[arg-type]
+
+
 def inertia_column(body: RigidBody) -> ca.SX:
-    """Inertia and its inverse."""
-    inertia = to_expr(body.inertia)
-    return ca.vertcat(ca.vec(inertia), ca.vec(_INVERSE3(inertia)))
+    """Inertia, and the inverse that the rates use (see `compliance_column`)."""
+    return ca.vertcat(ca.vec(to_expr(body.inertia)), compliance_column(body)[1:])
 
 
 def compliance_column(body: RigidBody) -> ca.SX:
-    """1 / mass and the inverse inertia: what turns a wrench into accelerations."""
-    return ca.vertcat(1 / to_expr(body.mass), ca.vec(_INVERSE3(to_expr(body.inertia))))
+    """1 / mass and the inverse inertia: what turns a wrench into accelerations.
+
+    Without mass or inertia it is 1, and the row holds the force or torque itself, which must
+    vanish (`Dae.balances`).
+    """
+    inertia = to_expr(body.inertia)
+    for i in axes_without_inertia(body):
+        inertia[i, i] = 1
+    mass = to_expr(body.mass) if has_mass(body) else ca.SX(1)
+    return ca.vertcat(1 / mass, ca.vec(_INVERSE3(inertia)))
 
 
 def body_column(body: RigidBody) -> ca.SX:

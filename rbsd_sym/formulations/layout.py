@@ -8,12 +8,12 @@ from typing import Protocol
 
 import casadi as ca
 
-from ..dae import Label, Turn
+from ..dae import Balance, Label, Turn
 from ..elements import GROUND, Marker, RigidBody
 from ..mechanics import Body, MarkerOnBody, Wrench, body_motion, shift_to_body
 from ..scene import Scene
 from ..symbols import TIME, to_expr
-from .columns import rotation_pair
+from .columns import axes_without_inertia, has_mass, rotation_pair
 
 
 class Coordinates(Protocol):
@@ -40,6 +40,10 @@ class Coordinates(Protocol):
     def rate(self, r: ca.SX, w_WB_B: ca.SX) -> ca.SX:
         """Time derivative of the coordinates."""
         ...
+
+
+_VELOCITY = ca.SX.sym("v")
+_SAME = ca.Function("kinematics", [ca.SX.sym("c"), _VELOCITY], [_VELOCITY])
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,28 @@ class Layout:
             Turn(body.name, self.rows(i)[3:7], self.rows(i)[10:13])  # type: ignore[arg-type]
             for i, body in enumerate(self.scene.bodies)
         )
+
+    @cached_property
+    def _turning(self) -> ca.Function:
+        r, w = ca.SX.sym("r", len(self.coordinates.labels)), ca.SX.sym("w", 3)
+        return ca.Function("kinematics", [r, w], [self.coordinates.rate(r, w)])
+
+    def balances(self, index: int) -> list[Balance]:
+        """The motions of a body that have no inertia: its three translations, its rotation."""
+        body, rows = self.scene.bodies[index], self.rows(index)
+        v, w = rows[-6:-3], rows[-3:]
+        balances = []
+        if not has_mass(body):
+            balances = [
+                Balance(f"{body.name}.{axis}", rows[i : i + 1], v[i : i + 1], v[i : i + 1], _SAME)
+                for i, axis in enumerate("xyz")
+            ]
+        axes = axes_without_inertia(body)
+        if axes:
+            idle = tuple(w[i] for i in axes)
+            name = f"{body.name}.rotation"
+            balances.append(Balance(name, rows[3:-6], w, idle, self._turning))
+        return balances
 
     def carriers(self, *markers: Marker) -> list[int]:
         """Indices of the moving bodies that carry the markers, each once."""

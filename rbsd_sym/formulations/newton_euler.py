@@ -21,7 +21,9 @@ from .columns import (
     COMPLIANCE,
     INERTIA,
     MARKER,
+    axes_without_inertia,
     compliance_column,
+    has_mass,
     inertia_column,
     marker_column,
     marker_of,
@@ -35,10 +37,10 @@ def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
     """The scene as a `Dae`, one part for each body, load and active connector.
 
     Raises:
-        ValueError: a body without mass or with a singular inertia, an unknown output.
+        ValueError: a singular inertia that is not zero about a body axis, an unknown output.
     """
     for body in scene.bodies:
-        _check_has_inertia(body)
+        _check_inertia(body)
     layout = Layout(scene, coordinates)
     cache: dict[Hashable, ca.Function] = {}
     connectors = tuple(ConnectorWriter(layout, i, cache) for i in range(len(scene.connectors)))
@@ -68,6 +70,7 @@ def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
         requested=writer.requested(outputs),
         notes=audit(scene),
         turns=layout.turns(),
+        balances=tuple(b for i in range(len(scene.bodies)) for b in layout.balances(i)),
         source=f"{formulation}\n{scene.text}",
     )
 
@@ -87,10 +90,10 @@ def _bodies(layout: Layout) -> list[Part]:
     spin = -inverse @ gyroscopic(inertia, x[-3:])
     rates = ca.vertcat(layout.kinematic_rates(x)[:-6], c[INERTIA:], spin)
     function = kernel("body", x, c, rates, ca.SX(0, 1))
-    gravity = to_expr(layout.scene.gravity)
+    gravity, none = to_expr(layout.scene.gravity), ca.SX(3, 1)
     return [
         Part(body.name, function, layout.rows(i), (),
-             ca.vertcat(inertia_column(body), gravity), layout.rows(i))
+             ca.vertcat(inertia_column(body), gravity if has_mass(body) else none), layout.rows(i))
         for i, body in enumerate(layout.scene.bodies)
     ]  # fmt: skip
 
@@ -122,15 +125,18 @@ def _load_kernel(layout: Layout, frame: str) -> ca.Function:
     return kernel("load", x, c, accelerations(body, marker, wrench, compliance), ca.SX(0, 1))
 
 
-def _check_has_inertia(body: RigidBody) -> None:
-    if float(at_default(np.array(body.mass))) == 0:
+def _check_inertia(body: RigidBody) -> None:
+    if has_mass(body) and float(at_default(np.array(body.mass))) == 0:
         raise ValueError(
-            f"body '{body.name}': mass 0 kg; bodies without mass are not available yet; give it a "
-            "small mass and inertia"
+            f"body '{body.name}': mass is a Param of default 0 kg; whether a body has mass is part "
+            "of the structure; write mass=0, inertia=0, or give the Param a positive default"
         )
-    smallest = float(np.linalg.eigvalsh(at_default(body.inertia))[0])
-    if smallest <= 0:
+    massless = axes_without_inertia(body)
+    rest = np.delete(np.delete(at_default(body.inertia), massless, 0), massless, 1)
+    smallest = float(np.linalg.eigvalsh(rest)[0]) if rest.size else 1.0
+    if smallest <= 1e-14 * float(np.abs(rest).max(initial=0.0)):
         raise ValueError(
-            f"body '{body.name}': inertia has the principal value {smallest:.3g} kg m2; the "
-            "equations divide by it; give a positive inertia about every axis"
+            f"body '{body.name}': inertia has the principal value {smallest:.3g} kg m2 about an "
+            "axis that is no axis of the body frame; turn the body frame along the rod, or give a "
+            "positive inertia about every axis"
         )

@@ -214,13 +214,8 @@ def assemble(
 
 def _consistent(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
     """Z that solves alg = 0 at the start, by Newton's method from the given z."""
-    t, u = float(e.t[0]), input_values(e.inputs, e.t[:1])
-    z = ca.SX.sym("z", model.n_z)
-    residual = model.function("alg")(t, e.x, z, u, e.p)
-    newton = ca.rootfinder("start", "newton", {"x": z, "g": residual},
-                           {"error_on_fail": False, "abstol": 1e-13, "max_iter": 50})  # fmt: skip
-    value = np.array(newton(e.z, [])).reshape(-1)
-    return value, bool(newton.stats()["success"]) and bool(np.isfinite(value).all())
+    u = input_values(e.inputs, e.t[:1])
+    return model.dae.consistent(float(e.t[0]), e.x, e.z, u, e.p)
 
 
 def _not_consistent(model: Model, e: Experiment) -> Trajectory:

@@ -22,7 +22,7 @@ _REASONS = {
     ),
     "IDA_ERR_FAIL": (
         Outcome.step_too_small, "look for a singularity there (Tait-Bryan pitch at 90 degrees, "
-        "rotation by pi), or loosen the tolerances",
+        "rotation by pi), or loosen the tolerances; below 1e-10 rounding alone may stop IDAS",
     ),
     "IDA_CONV_FAIL": (
         Outcome.step_too_small, "look for a discontinuity there, or try Rosenbrock()",
@@ -38,7 +38,8 @@ class Idas:
     """IDAS [Hindmarsh et al. 2005], through CasADi, with exact sparse Jacobians.
 
     Arguments:
-        rtol, atol: relative and absolute error wanted in each state.
+        rtol, atol: relative and absolute error wanted in each state. Algebraic unknowns take no
+            part in the choice of the step; they solve their equations at every point.
         safety: IDAS itself bounds the root mean square over all states of the error of one step. It
             is given rtol and atol times safety / sqrt(number of states), so that idle states beside
             it loosen nothing for a moving one, and the sum over many steps stays near what was
@@ -73,6 +74,10 @@ class Idas:
             "reltol": max(self.rtol * scale, _FLOOR), "abstol": self.atol * scale,
             "max_multistep_order": self.max_order, "max_num_steps": self.max_steps,
         }  # fmt: skip
+        if (
+            model.n_z
+        ):  # else their rounding, large where they follow from stiff forces, sets the step
+            options["suppress_algebraic"] = True
         if self.linear_solver:
             options["linear_solver"] = self.linear_solver
         if self.max_step:

@@ -1,0 +1,396 @@
+"""A scene written in the axes of a plane in which it may move.
+
+The passes of `minimal` see planar motion if its normal is a world axis and the bodies start without
+a turn about any other axis. `planes` finds the plane at the start and gives an equivalent scene in
+which both hold; `Plane.way_back` turns its states into those of the original scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ..checks import at_default, is_symbolic
+from ..elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
+from ..rotation import quat_product
+from ..scene import Scene
+from ..symbols import Scalar, leaves_of, to_expr
+from .columns import rotation_pair
+from .layout import Layout
+
+_ROUNDING = 16 * float(np.finfo(float).eps)  # of a few products of rotations and vectors
+_FLAT = 1e-12  # relative distance from a plane, and angle (rad) from its normal, of careful input
+_THIN = 1e-9  # relative width below which vectors are on one line
+_AT_MOST = 4  # candidates
+_EYE = np.eye(3)
+_SUMS = {ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1,), ca.OP_TWICE: (2,)}
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A scene written in axes of a plane in which it may move, and the way back.
+
+    Arguments:
+        scene: the equivalent scene: world axes V; body axes N at the centres of mass, parallel to V
+            at the start. Its numbers differ from exact ones by rounding only.
+        Q: R_WV (3, 3), one column the normal; the identity if the world axes are kept.
+        origin: of V, world axes (3,), m; p_W = origin + Q p_V.
+        turned: R_BN (3, 3) of each body, its new axes to its own.
+        quaternions: of R_NB (4,), with the sign that gives the start of the original scene.
+    """
+
+    scene: Scene
+    Q: np.ndarray
+    origin: np.ndarray
+    turned: tuple[np.ndarray, ...]
+    quaternions: tuple[np.ndarray, ...]
+
+    @property
+    def keeps_world(self) -> bool:
+        """Whether positions and velocities mean what they do in the original scene."""
+        return bool((self.Q == _EYE).all() and not self.origin.any())
+
+    def way_back(self, layout: Layout, x: ca.SX) -> ca.SX:
+        """States of the original scene (n, 1) from those of the new one.
+
+        Arguments:
+            layout: of the new scene, in any coordinates.
+            x: column of its states, symbols or numbers.
+        """
+        (Q, q_WV), columns = rotation_pair(self.Q), []
+        for states, R_BN, q_NB in zip(layout.split(x), self.turned, self.quaternions, strict=True):
+            body, turn = layout.body(states), ca.SX(ca.DM(R_BN))
+            p_VN, R_VN, q_VN = body.motion.frame
+            q_WB = quat_product(quat_product(q_WV, q_VN), ca.DM(q_NB))
+            columns += [
+                ca.DM(self.origin) + Q @ p_VN,
+                layout.coordinates.start(Q @ R_VN @ turn.T, q_WB),
+                Q @ body.motion.v_WA,
+                turn @ body.w_WB_B,
+            ]
+        return ca.vertcat(*columns)
+
+
+def planes(scene: Scene) -> Iterator[Plane]:
+    """Planes in which the scene may move, best first; none for a scene that cannot be planar.
+
+    Decided by numbers, every symbol at its default. Whether a candidate gives a smaller model is
+    for the passes of `minimal` to prove.
+    """
+    for body in scene.bodies:
+        low, _, high = np.linalg.eigvalsh(at_default(body.inertia))
+        if is_symbolic(body.rotation) or low <= _FLAT * high != 0:  # a rod needs its own axes
+            return
+    start = _see(scene)
+    for n, place in islice(start.normals(), _AT_MOST):
+        if _is_axis(n) and n[place]:
+            yield _written_in(scene, _EYE, np.zeros(3))
+        else:
+            foot = n * _snap(n @ start.points[0], start.reach)
+            yield _written_in(scene, start.plane_axes(n, place), foot)
+
+
+# Numbers, and symbols times numbers.
+
+
+def _is_axis(n: np.ndarray) -> bool:
+    return int(np.count_nonzero(n)) == 1
+
+
+def _matrix(rotation: np.ndarray) -> np.ndarray:
+    """A checked rotation as a matrix (3, 3), every symbol at its default."""
+    value = at_default(rotation)
+    if value.shape == (3, 3):
+        return value
+    M = _left(value) * (1, -1, -1, -1)
+    return (M @ M)[1:, 1:] / (value @ value)  # b -> q b q*, of pure quaternions b
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    """A rotation of numbers as a quaternion (4,), of the sign that a start has."""
+    return np.array(ca.DM(rotation_pair(rotation)[1])).reshape(4)
+
+
+def _left(q: np.ndarray) -> np.ndarray:
+    """The matrix (4, 4) of the product q b of quaternions."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def _across(a: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """Length of the part of vectors a (..., 3) across the unit vector n."""
+    return np.linalg.norm(np.cross(a, n), axis=-1)
+
+
+def _snap(values: Any, scale: float, exact: tuple[float, ...] = (0.0,)) -> np.ndarray:
+    """Values within 16 epsilon of the scale of exact ones become exact."""
+    out = np.array(values, float)
+    for number in exact:
+        out[np.abs(out - number) <= _ROUNDING * scale] = number
+    return out
+
+
+def _rotation(product: np.ndarray) -> np.ndarray:
+    return _snap(product, 1.0, (-1.0, 0.0, 1.0))
+
+
+def _terms(expr: ca.SX) -> Iterator[tuple[int, float, ca.SX]]:
+    """A scalar as a sum of (key, factor, atom); the key of the number 1 is 0."""
+    left = [(expr, 1.0)]
+    while left:
+        expr, factor = left.pop()
+        if expr.is_constant():
+            yield 0, factor * float(expr), ca.SX(1)
+            continue
+        op, parts = expr.op(), [expr.dep(i) for i in range(expr.n_dep())]
+        if op in _SUMS:
+            left += [(part, factor * w) for part, w in zip(parts, _SUMS[op], strict=True)]
+        elif op == ca.OP_MUL and parts[0].is_constant():  # CasADi writes the number first
+            left.append((parts[1], factor * float(parts[0])))
+        elif op == ca.OP_DIV and parts[1].is_constant():
+            left.append((parts[0], factor / float(parts[1])))
+        else:
+            yield expr.element_hash(), factor, expr
+
+
+def _times(A: np.ndarray, v: np.ndarray, scale: float = 0.0) -> np.ndarray:
+    """A v; entries within 16 epsilon of the norm of v (plus the scale) become zero.
+
+    A vector of symbols is taken apart into numbers times symbols, and each symbol's numbers are
+    treated alike, so that multiples of one Param that cancel leave nothing.
+
+    Arguments:
+        A: numbers (m, n).
+        v: numbers or symbols (n,).
+        scale: size of the numbers of which v is a difference.
+    """
+    if not is_symbolic(v):
+        return _snap(A @ v, float(np.linalg.norm(v)) + scale)
+    numbers: dict[int, np.ndarray] = {}
+    atoms: dict[int, ca.SX] = {}
+    for i, expr in enumerate(ca.vertsplit(ca.cse(to_expr(v)))):
+        for key, factor, atom in _terms(expr):
+            atoms[key] = atom
+            numbers.setdefault(key, np.zeros(len(v)))[i] += factor
+    rows = [ca.SX(0)] * len(A)
+    for key, column in numbers.items():
+        product = _snap(A @ column, float(np.linalg.norm(column)) + (0.0 if key else scale))
+        rows = [row + float(c) * atoms[key] for row, c in zip(rows, product, strict=True)]
+    out: np.ndarray = np.empty(len(A), dtype=object)
+    out[:] = [float(row) if row.is_constant() else Scalar(row, leaves_of(v)) for row in rows]
+    return out
+
+
+# The scene in other axes.
+
+
+class _Axes(NamedTuple):
+    """New axes N of a body (or of the world, V) against its own, B."""
+
+    turn: np.ndarray  # R_NB
+    q_NB: np.ndarray
+    origin: np.ndarray  # of N, in B
+    scale: float  # size of the coordinates
+    level: np.ndarray  # coordinates in N that near ones are set to
+
+    def point(self, p: np.ndarray) -> np.ndarray:
+        out = _times(self.turn, p - self.origin, self.scale)
+        for i, value in enumerate(self.level):
+            if not isinstance(out[i], Scalar) and abs(out[i] - value) <= _ROUNDING * self.scale:
+                out[i] = value
+        return out
+
+    def tensor(self, T: np.ndarray) -> np.ndarray:
+        out = _times(np.kron(self.turn, self.turn), T.reshape(9)).reshape(3, 3)
+        for i, j in ((1, 0), (2, 0), (2, 1)):
+            out[i, j] = out[j, i]
+        return out
+
+    def marker(self, m: Marker) -> Marker:
+        R = m.rotation
+        if not is_symbolic(R):
+            R = _rotation(self.turn @ _matrix(R))
+        elif R.shape == (3, 3):
+            R = _times(np.kron(self.turn, _EYE), R.reshape(9)).reshape(3, 3)
+        else:
+            R = _times(_left(self.q_NB), R)
+        return replace(m, position=self.point(m.position), rotation=R)
+
+
+def _written_in(scene: Scene, Q: np.ndarray, origin: np.ndarray) -> Plane:
+    """The scene in world axes V (R_WV = Q, at origin), and body axes parallel to V at the start."""
+    start, q_VW = _see(scene), _quaternion(Q) * (1, -1, -1, -1)
+    level = _times(Q.T, start.points[0] - origin, start.reach)
+    axes = {GROUND: _Axes(Q.T, q_VW, origin, start.reach, level)}
+    for body, R in zip(scene.bodies, start.rotations, strict=True):
+        q_NB = _rotation(_left(q_VW) @ _quaternion(body.rotation))
+        size = float(np.linalg.norm(at_default(body.com)))
+        axes[body.name] = _Axes(_rotation(Q.T @ R), q_NB, body.com, size, np.zeros(3))
+    written = replace(
+        scene,
+        bodies=[_body(body, axes) for body in scene.bodies],
+        connectors=[_connector(c, Q, axes) for c in scene.connectors],
+        loads=[_load(load, axes) for load in scene.loads],
+        gravity=_times(Q.T, scene.gravity),
+    )
+    own = [axes[body.name] for body in scene.bodies]
+    return Plane(written, Q, origin, tuple(a.turn.T for a in own), tuple(a.q_NB for a in own))
+
+
+def _body(body: RigidBody, axes: dict[str, _Axes]) -> RigidBody:
+    own, world, R_WB = axes[body.name], axes[GROUND], _matrix(body.rotation)
+    swing = _times(R_WB, np.cross(body.angular_velocity, body.com))
+    speed = float(np.linalg.norm(at_default(body.velocity)))
+    return replace(
+        body,
+        inertia=own.tensor(body.inertia),
+        com=np.zeros(3),
+        position=world.point(body.position + _times(R_WB, body.com)),
+        rotation=_EYE,
+        velocity=_times(world.turn, body.velocity + swing, speed),
+        angular_velocity=_times(own.turn, body.angular_velocity),
+    )
+
+
+def _connector(
+    c: RigidBodySpringDamper, Q: np.ndarray, axes: dict[str, _Axes]
+) -> RigidBodySpringDamper:
+    """With its joint frames made part of the markers, where both are numbers."""
+    changes: dict[str, Any] = {}
+    for i in "01":
+        marker, joint = getattr(c, f"marker{i}"), getattr(c, f"rotation_marker{i}")
+        if not (is_symbolic(marker.rotation) or is_symbolic(joint)):
+            marker = replace(marker, rotation=_matrix(marker.rotation) @ _matrix(joint))
+            joint = _EYE
+        changes[f"marker{i}"] = axes[marker.body].marker(marker)
+        changes[f"rotation_marker{i}"] = joint
+    if c.force is not None and (Q != _EYE).any():  # it is told rotJ0 and rotJ1 in world axes
+        user = c.force
+        changes["force"] = lambda *a: user(*a[:9], Q @ a[9], Q @ a[10], *a[11:])
+    return replace(c, **changes)
+
+
+def _load(load: Load, axes: dict[str, _Axes]) -> Load:
+    own = axes[load.marker.body]
+    turn = (own if load.frame == "body" else axes[GROUND]).turn
+    force, torque = _times(turn, load.force), _times(turn, load.torque)
+    return replace(load, marker=own.marker(load.marker), force=force, torque=torque)
+
+
+# The start, in numbers: where a scene may be planar.
+
+
+class _Start(NamedTuple):
+    """Poses and directions at the start, world axes, every symbol at its default."""
+
+    rotations: np.ndarray  # R_WB of each body (k, 3, 3)
+    inertias: np.ndarray  # (k, 3, 3)
+    joints: np.ndarray  # joint frames A_0 to world (k, 3, 3)
+    points: np.ndarray  # centres of mass, and where forces act (k, 3)
+    pulls: list[np.ndarray]  # gravity, velocities, forces, offsets: (k, 3) each
+    turning: np.ndarray  # angular velocities and torques (k, 3)
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of a point from the world origin, m."""
+        return float(np.linalg.norm(self.points, axis=1).max())
+
+    def in_plane(self, n: np.ndarray | None = None) -> np.ndarray:
+        """Vectors that lie in a plane of motion (with normal n), each kind 1 long at most."""
+        groups = [self.points - self.points[0], *self.pulls]
+        if n is not None and _is_axis(n):  # without a turn of the world axes heights are no matter
+            groups = [] if len(self.turning) else self.pulls[:-1]
+        sizes = [np.linalg.norm(group, axis=1).max(initial=0.0) for group in groups]
+        scaled = [group / size for group, size in zip(groups, sizes, strict=True) if size > 0]
+        return np.vstack([np.zeros((3, 3)), *scaled])
+
+    def normals(self) -> Iterator[tuple[np.ndarray, int]]:
+        """Unit normals that the start suggests and admits, and which axis of V each is to be.
+
+        It is the axis it is in the joint frames: then those turn about one axis of their own, which
+        the passes see. Left out are world axes if every body starts parallel to the world, since
+        the scene itself shows those.
+        """
+        frames = np.concatenate([self.joints, self.rotations])
+        axes = frames.transpose(0, 2, 1)[:, ::-1].reshape(-1, 3)
+        flat = (np.abs(self.in_plane() @ axes.T) <= _FLAT).all(axis=0)
+        suggested = axes[flat | (np.count_nonzero(_rotation(axes), axis=1) == 1)]
+        seen, upright = list[np.ndarray](), (self.rotations == _EYE).all()
+        if len(self.turning):
+            suggested = self.turning[:1]
+        else:
+            _, (long, wide, thick), rows = np.linalg.svd(self.in_plane(), full_matrices=False)
+            if thick <= _FLAT * long and wide > _THIN * long:
+                suggested = rows[2:]
+        for n in suggested / np.linalg.norm(suggested, axis=1)[:, None]:
+            near = axes[_across(axes, n) <= _THIN]
+            n = near[0] if len(near) else n  # an axis is better known than a sum of points
+            n = _rotation(n / np.linalg.norm(n))
+            if not self.admits(n) or any(_across(other, n) <= _THIN for other in seen):
+                continue
+            seen.append(n)
+            votes = (_across(self.joints.transpose(0, 2, 1), n) <= _THIN).sum(axis=0)
+            place = 2 - int(votes[::-1].argmax())
+            if _is_axis(n) and not votes.any():
+                place = int(np.abs(n).argmax())
+            if not (upright and _is_axis(n) and n[place]):
+                yield n, place
+
+    def admits(self, n: np.ndarray) -> bool:
+        """Whether all turns, all vectors and all inertias allow motion in the plane of normal n."""
+        flat = np.abs(self.in_plane(n) @ n) <= _FLAT
+        parallel = _across(self.turning, n) <= _FLAT * np.linalg.norm(self.turning, axis=1)
+        sizes = np.abs(self.inertias).max(axis=(1, 2))
+        principal = _across(self.inertias @ n, n) <= _FLAT * sizes
+        return bool(flat.all() and parallel.all() and principal.all())
+
+    def plane_axes(self, n: np.ndarray, place: int) -> np.ndarray:
+        """R_WV: the axis after n is along gravity if that is in the plane, else the first lever."""
+        (g,), levers = self.pulls[0], self.points - self.points[0]
+        floor = _THIN * max(float(np.linalg.norm(levers, axis=1).max()), 1e-3)
+        falls = [g] if abs(g @ n) <= _FLAT * np.linalg.norm(g) else []
+        for v in (*falls, *levers, *_EYE):
+            e1 = np.cross(np.cross(n, v), n)
+            if np.linalg.norm(e1) > floor:
+                break
+        e1 = _snap(e1 / np.linalg.norm(e1), 1.0)
+        Q = np.column_stack([e1, np.cross(n, e1), n])
+        return _rotation(np.roll(Q, place - 2, axis=1))
+
+
+def _see(scene: Scene) -> _Start:
+    R = {b.name: _rotation(_matrix(_quaternion(b.rotation))) for b in scene.bodies}
+    R[GROUND] = _EYE
+    p = {body.name: at_default(body.position) for body in scene.bodies} | {GROUND: np.zeros(3)}
+    joints, points, speeds, inertias, turning, offsets, forces, markers = ([] for _ in range(8))
+    for body in scene.bodies:
+        com, w = at_default(body.com), at_default(body.angular_velocity)
+        points.append(p[body.name] + R[body.name] @ com)
+        speeds.append(at_default(body.velocity) + R[body.name] @ np.cross(w, com))
+        turning.append(R[body.name] @ w)
+        inertias.append(R[body.name] @ at_default(body.inertia) @ R[body.name].T)
+    for c in (c for c in scene.connectors if c.active):
+        A = R[c.marker0.body] @ _matrix(c.marker0.rotation) @ _matrix(c.rotation_marker0)
+        joints.append(A)
+        offsets += [A @ at_default(v)[:3] for v in (c.offset, c.velocity_offset)]
+        markers += [c.marker0, c.marker1]
+    for load in (load for load in scene.loads if load.marker.body != GROUND):
+        turn = R[load.marker.body] if load.frame == "body" else _EYE
+        forces.append(turn @ at_default(load.force))
+        turning.append(turn @ at_default(load.torque))
+        markers += [load.marker] if is_symbolic(load.force) or load.force.any() else []
+    points += [p[m.body] + R[m.body] @ at_default(m.position) for m in markers]
+    kinds = (at_default(scene.gravity), speeds, forces, offsets)
+    return _Start(
+        np.array([R[body.name] for body in scene.bodies]),
+        np.array(inertias),
+        np.array(joints).reshape(-1, 3, 3),
+        np.array(points),
+        [np.array(vectors).reshape(-1, 3) for vectors in kinds],
+        np.array([v for v in turning if v.any()]).reshape(-1, 3),
+    )

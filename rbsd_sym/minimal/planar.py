@@ -1,0 +1,106 @@
+"""Planar: one angle for a body that turns about one fixed axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+
+from ..dae import Balance, Dae, Expansion, Label, Part, Turn
+
+
+def planar(dae: Dae) -> Dae:
+    """One angle instead of two quaternion states where a body turns about one fixed axis.
+
+    A quaternion whose two other vector components are frozen at zero is (cos(a/2), sin(a/2)) of an
+    angle a with a' = w; the angle counts turns. It takes the place of q_w; the other state goes.
+    """
+    expansion = dae.expansion
+    if expansion is None:
+        return dae
+    states, rows = list(ca.vertsplit(expansion.states)), list(expansion.rows)
+    x, start = list(ca.vertsplit(dae.x)), list(ca.vertsplit(dae.x_start))
+    labels, full_labels = list(dae.x_labels), list(expansion.labels)
+    parts, gone, balances = list(dae.parts), set(), list(dae.balances)
+    for turn in dae.turns:
+        axis = _axis(rows, states, turn)
+        w_row, v_row = turn.quaternion[0], turn.quaternion[(axis or 0) + 1]
+        w, v = rows[w_row], rows[v_row]
+        if axis is None or w is None or v is None:
+            continue
+        name = f"{turn.name}.angle_{'xyz'[axis]}"
+        x[w] = ca.SX.sym(name)
+        start[w] = 2 * ca.atan2(start[v], start[w])
+        labels[w] = Label(name, "rad", 2 * math.atan2(labels[v].start, labels[w].start))
+        states[w_row], states[v_row] = ca.cos(x[w] / 2), ca.sin(x[w] / 2)
+        rows[w_row] = rows[v_row] = None
+        parts.append(
+            Part(name, _pass_on(dae), (turn.velocity[axis],), (), ca.SX(0, 1), (len(states),))
+        )
+        balances = [_about_one_axis(b, turn, axis, len(states)) for b in balances]
+        states.append(x[w])
+        rows.append(w)
+        full_labels.append(labels[w])
+        gone.add(v)
+    changed = replace(
+        dae,
+        x=ca.vertcat(*x),
+        x_labels=tuple(labels),
+        x_start=ca.vertcat(*start),
+        parts=tuple(parts),
+        balances=tuple(balances),
+        expansion=Expansion(
+            ca.vertcat(*states), tuple(full_labels), tuple(rows), (None,) * len(rows)
+        ),
+    )
+    return _without(changed, gone) if gone else dae
+
+
+def _without(dae: Dae, gone: set[int]) -> Dae:
+    """The reduced `Dae` without some of its own states, which nothing reads any more."""
+    kept = [i for i in range(dae.x.numel()) if i not in gone]
+    place = {old: new for new, old in enumerate(kept)}
+    expansion = dae.expansion
+    if expansion is None:
+        raise ValueError(f"model '{dae.name}': states can only leave a reduced model")
+    rows = tuple(None if row is None else place.get(row) for row in expansion.rows)
+    return replace(
+        dae,
+        x=dae.x[kept],
+        x_labels=tuple(dae.x_labels[i] for i in kept),
+        x_start=dae.x_start[kept],
+        expansion=replace(expansion, rows=rows),
+    )
+
+
+def _axis(rows: Sequence[int | None], states: Sequence[ca.SX], turn: Turn) -> int | None:
+    """The axis 0, 1, 2 of a turn of which only that component moves; None for any other turn."""
+    moving = [i for i in range(3) if rows[turn.quaternion[i + 1]] is not None]
+    if len(moving) != 1:
+        return None
+    idle = [i for i in range(3) if i not in moving]
+    still = [turn.quaternion[i + 1] for i in idle] + [turn.velocity[i] for i in idle]
+    # A row without a state stands for a number here: it was frozen.
+    if any(rows[row] is not None or not states[row].is_zero() for row in still):
+        return None
+    return moving[0]
+
+
+def _about_one_axis(balance: Balance, turn: Turn, axis: int, angle: int) -> Balance:
+    """The balance of a rotation that has become one angle, in row `angle`; others as they are."""
+    if balance.coordinates != turn.quaternion:
+        return balance
+    w = turn.velocity[axis : axis + 1]
+    idle = w if w[0] in balance.idle else ()
+    velocity = ca.SX.sym("w")
+    same = ca.Function("kinematics", [ca.SX.sym("a"), velocity], [velocity])
+    return Balance(balance.name, (angle,), w, idle, same)
+
+
+def _pass_on(dae: Dae) -> ca.Function:
+    """Kernel whose rate is the one state it reads."""
+    w, none = ca.SX.sym("w"), ca.SX(0, 1)
+    arguments = [dae.t, w, ca.SX.sym("z", 0), ca.SX.sym("c", 0)]
+    return ca.Function("angle", arguments, [w, none])

@@ -1,0 +1,71 @@
+"""Eigenvalues and growth of linear motion x' = J x, also where rows have no inertia."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+_INFINITE = 1e-4  # of an inverse eigenvalue times the shift
+_ROUNDING = 1e-6  # of a defective zero eigenvalue: sqrt(epsilon) with room for its scale
+_DRIFT = math.log(10.0)
+_TERMS = 12  # of the exponential's series, after scaling
+
+
+def finite_spectrum(block: np.ndarray, inertial: np.ndarray) -> np.ndarray:
+    """Eigenvalues of M x' = J x, M diagonal with 0 where a row has no inertia (1/s).
+
+    By inversion about a shift of the size of the spectrum; what lies 1e4 times further out is
+    infinite. A row of zeros without inertia is a direction that nothing decides, and counts as 0.
+    """
+    mass = np.diag((inertial | ~block.any(axis=1)).astype(float))
+    if mass.trace() == len(block):
+        return np.linalg.eigvals(block)
+    shift = 1 + np.sqrt(np.abs(block).max())
+    inverse = np.linalg.eigvals(np.linalg.pinv(block - shift * mass) @ mass)
+    return shift + 1 / inverse[np.abs(inverse) * shift > _INFINITE]
+
+
+def growth_rates(blocks: np.ndarray, inertial: np.ndarray) -> np.ndarray:
+    """Largest real part of the eigenvalues of each block (k, n, n), 0 within their rounding."""
+    rates = np.zeros(len(blocks))
+    for i, block in enumerate(blocks):
+        values = finite_spectrum(block, inertial)
+        largest = values.real.max(initial=0.0)
+        rates[i] = largest if largest > _ROUNDING * (1 + np.abs(values).max(initial=0.0)) else 0.0
+    return rates
+
+
+def growth_exponent(t: np.ndarray, blocks: np.ndarray) -> float | None:
+    """Logarithm of the spectral radius of the propagator of x' = J(t) x from blocks at times t.
+
+    Eigenvalues of J at each time tell little where its eigenvectors turn; this does. Less than
+    tenfold counts as 0, since neutral motion drifts in proportion to time. None where the times are
+    too far apart: every second one gives another answer.
+    """
+    fine, coarse = (max(_exponent(t[::k], blocks[::k]), _DRIFT) for k in (1, 2))
+    if abs(fine - coarse) > 0.1 * fine:
+        return None
+    return fine if fine > _DRIFT else 0.0
+
+
+def _exponent(t: np.ndarray, blocks: np.ndarray) -> float:
+    """Midpoint exponentials, multiplied; the size is kept apart, so that nothing overflows."""
+    product, size = np.eye(blocks.shape[1]), 0.0
+    for step, before, after in zip(np.diff(t), blocks[:-1], blocks[1:], strict=True):
+        product = _exponential(step * (before + after) / 2) @ product
+        norm = float(np.linalg.norm(product))
+        product, size = product / norm, size + math.log(norm)
+    radius = float(np.abs(np.linalg.eigvals(product)).max())
+    return size + math.log(max(radius, 1e-300))
+
+
+def _exponential(A: np.ndarray) -> np.ndarray:
+    """exp(A) by scaling, a Taylor polynomial, and squaring."""
+    halvings = max(0, math.ceil(math.log2(max(float(np.linalg.norm(A)), 1e-300))) + 2)
+    A = A / 2.0**halvings
+    result = term = np.eye(len(A))
+    for k in range(1, _TERMS + 1):
+        term = term @ A / k
+        result = result + term
+    return np.linalg.matrix_power(result, 2**halvings)
