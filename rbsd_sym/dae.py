@@ -117,6 +117,7 @@ class Expansion:
         alg_rows: for each full state its row in alg, None for one that has inertia.
         followers: motions whose coordinates are algebraic: no part reads their velocities (0 stands
             in `states`), which follow from the rates of the coordinates (`Dae.measured`).
+        unknown: full states that were left out though they move: nothing here tells their value.
     """
 
     states: ca.SX
@@ -124,6 +125,7 @@ class Expansion:
     rows: tuple[int | None, ...]
     alg_rows: tuple[int | None, ...]
     followers: tuple[Balance, ...] = ()
+    unknown: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,8 @@ class Dae:
         x_start, z_start: SX columns over p.
         outputs: every quantity that can be asked for, by name.
         requested: names of the outputs in y, in order.
+        only_requested: whether these are all that matters.
+        idle_p: parameters without effect on x, z and y; they may act on other outputs.
         notes: what the user should know (audit of the scene, what was left out).
         turns: the quaternions among the states, so that passes know them without knowing bodies.
         balances: the motions without inertia, until a pass has made them algebraic.
@@ -161,6 +165,9 @@ class Dae:
     turns: tuple[Turn, ...] = ()
     balances: tuple[Balance, ...] = ()
     expansion: Expansion | None = None
+    only_requested: bool = False
+    idle_p: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    idle_p_labels: tuple[Label, ...] = ()
     source: str = field(default="", repr=False)
 
     @cached_property
@@ -245,12 +252,27 @@ class Dae:
         return tuple(label for name in self.requested for label in self.outputs[name].labels)
 
     def output(self, name: str) -> ca.SX:
-        """Column of one output quantity, by name."""
+        """Column of one output quantity, by name, over the symbols and `idle_p`.
+
+        Raises:
+            ValueError: no such output, or one that needs states that were left out.
+        """
         self._check_output(name)
         out = self.outputs[name]
         kernel, constants = out.build()
-        x, z = self._pick(self.measured, out.reads), self._pick(self.z, out.reads_z)
-        return kernel(self.t, x, z, constants)
+        unknown = self.expansion.unknown if self.expansion else frozenset()
+        lost = {row: ca.SX.sym("lost") for row in out.reads if row in unknown}
+        states = list(ca.vertsplit(self.measured)) if lost else []
+        for row, symbol in lost.items():
+            states[row] = symbol
+        x = self._pick(ca.vertcat(*states) if lost else self.measured, out.reads)
+        value = kernel(self.t, x, self._pick(self.z, out.reads_z), constants)
+        if lost and ca.depends_on(value, ca.vertcat(*lost.values())):
+            raise ValueError(
+                f"model '{self.name}': output '{name}' needs states that no requested output feels "
+                f"and that were left out; add it to Scene(outputs=[...])"
+            )
+        return value
 
     def _check_output(self, name: str) -> None:
         if name in self.outputs:
@@ -268,6 +290,10 @@ class Dae:
     @cached_property
     def _start(self) -> ca.Function:
         return ca.Function("start", [self.p], [self.x_start, self.z_start])
+
+    def rates_function(self) -> ca.Function:
+        """Function (t, x, z, u, p) -> ode."""
+        return ca.Function("rates", self.symbols, [self.ode])
 
     def consistent(
         self, t: float, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray
@@ -330,46 +356,6 @@ class Dae:
         ):
             lines += table(title, getattr(self, f"{kind}_labels"))
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
-
-
-@dataclass(frozen=True)
-class Dropped:
-    """A state that is not in the model, its default value, and why it is not."""
-
-    name: str
-    value: float
-    reason: str
-
-
-@dataclass(frozen=True, eq=False)
-class Reduction:
-    """What a pass left out, and what is needed to judge it.
-
-    Arguments:
-        dropped: the states that are gone.
-        inertial: for each whether its row is a rate, or a force that must vanish.
-        build: makes `transverse`, when it is first asked for.
-    """
-
-    dropped: tuple[Dropped, ...]
-    inertial: tuple[bool, ...]
-    build: Callable[[], ca.Function]
-
-    @cached_property
-    def transverse(self) -> ca.Function:
-        """Jacobian of the dropped rates by the dropped states, on the kept manifold.
-
-        Function (t, x, z, u, p). The full Jacobian is block triangular there, so its spectrum and
-        that of the small model together are the full one (but for one zero, the norm of the
-        quaternion, where an angle stands for it).
-        """
-        return self.build()
-
-    @cached_property
-    def varies(self) -> bool:
-        """Whether `transverse` depends on anything but the parameters."""
-        block = self.transverse
-        return any(block.jac_sparsity(0, i).nnz() > 0 for i in range(4))
 
 
 def table(title: str, labels: tuple[Label, ...]) -> list[str]:

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from .dae import Dae, Dropped, Label, Reduction, table
+from .dae import Dae, Label, table
+from .reduction import Dropped, Reduction, Replaced
 from .spectra import growth_exponent, growth_rates
 from .trajectory import Column, Trajectory
 from .version import VERSION
@@ -82,6 +83,21 @@ class Model:
         return self.reduction.dropped if self.reduction else ()
 
     @property
+    def replaced(self) -> tuple[Replaced, ...]:
+        """The states of the full scene that follow from others, and how."""
+        return self.reduction.replaced if self.reduction else ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know: of the scene, and of states that probing sees at rest."""
+        seen = self.reduction.suspects if self.reduction else ()
+        note = (
+            f"kept without need, perhaps: {', '.join(seen)}: random values show no motion, but no "
+            "proof was found that there is none for all values"
+        )
+        return (*self.dae.notes, *([note] if seen else []))
+
+    @property
     def digest(self) -> str:
         """Hash of the scene's text, the formulation and the version of this package."""
         return hashlib.sha256(f"{VERSION}\n{self.dae.source}".encode()).hexdigest()[:16]
@@ -109,11 +125,22 @@ class Model:
     def function(self, name: str) -> ca.Function:
         """The CasADi Function (t, x, z, u, p) of that name, built at the first call."""
         if name not in self.memo:
-            safe = name.replace(".", "_")
-            self.memo[name] = ca.Function(
-                safe, self.symbols, [self.expression(name)], list("txzup"), [safe]
-            )
+            safe, expression = name.replace(".", "_"), self.expression(name)
+            defaults = [label.start for label in self.dae.idle_p_labels]
+            if defaults:
+                expression = ca.substitute(expression, self.dae.idle_p, ca.DM(defaults))
+            self.memo[name] = ca.Function(safe, self.symbols, [expression], list("txzup"), [safe])
         return self.memo[name]
+
+    def _over_all_parameters(self, name: str) -> ca.Function:
+        """The function of that name with the parameters without effect on the model after p."""
+        key = f"all parameters {name}"
+        if not self.dae.idle_p_labels:
+            return self.function(name)
+        if key not in self.memo:
+            arguments = [*self.symbols[:4], ca.vertcat(self.dae.p, self.dae.idle_p)]
+            self.memo[key] = ca.Function("measure", arguments, [self.expression(name)])
+        return self.memo[key]
 
     def hessian_product(self, name: str) -> ca.Function:
         """Second derivatives of l'f times a direction, f = ode, alg or out.
@@ -136,11 +163,15 @@ class Model:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of the full scene's states that are not states of this model."""
-        if self.dae.expansion is None:
+        """Names of the full scene's states that are not states of this model, but are known."""
+        way = self.dae.expansion
+        if way is None:
             return ()
         kept = {label.name for label in (*self.x_labels, *self.dae.z_labels)}
-        return tuple(v.name for v in self.dae.expansion.labels if v.name not in kept)
+        return tuple(
+            label.name for i, label in enumerate(way.labels)
+            if label.name not in kept and i not in way.unknown
+        )  # fmt: skip
 
     def measure(self, name: str, trajectory: Trajectory) -> Column:
         """An output, or a state that was left out, along a trajectory of this model."""
@@ -150,11 +181,7 @@ class Model:
             row = [label.name for label in labels].index(name)
             return Column(every.values[:, row], labels[row].unit)
         output = self.dae.outputs.get(name)
-        values = self.function(name)(
-            trajectory.t[None, :],
-            *(self._columns(trajectory, labels) for labels in
-              (self.dae.x_labels, self.dae.z_labels, self.dae.u_labels, self.dae.p_labels)),
-        )  # fmt: skip
+        values = self._over_all_parameters(name)(*self._arguments(trajectory))
         shape = output.shape if output else (values.shape[0],)
         unit = output.unit if output else ""
         components = output.components if output else tuple(v.name for v in self.dae.out_labels)
@@ -167,10 +194,11 @@ class Model:
         blocks); real parts within the rounding of a multiple zero count as zero. Where these tell
         of growth while the block varies, its propagator over the saved points has the last word.
         """
-        n, start = len(self.dropped), float(trajectory.t[0])
-        if n == 0 or self.reduction is None:
+        start = float(trajectory.t[0])
+        if self.reduction is None or not self.reduction.inertial:
             return Growth(0.0, start, 0.0)
         inertial = np.array(self.reduction.inertial)
+        n = len(inertial)
         if not self.reduction.varies:
             rate = float(growth_rates(self._transverse(trajectory, 1)[1], inertial)[0])
             return Growth(rate, start, rate * float(trajectory.t[-1] - start))
@@ -180,21 +208,25 @@ class Model:
         worst = int(np.argmax(rates))
         exponent = float(np.sum(np.diff(t) * (rates[1:] + rates[:-1]) / 2))
         if exponent > 0 and inertial.all() and n <= _PROPAGATED:
-            propagated = growth_exponent(*self._transverse(trajectory, _POINTS))
-            exponent = exponent if propagated is None else propagated
+            exponent = growth_exponent(*self._transverse(trajectory, _POINTS), exponent)
         return Growth(float(rates[worst]), float(t[worst]), exponent)
 
     def _transverse(self, trajectory: Trajectory, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Times and transverse Jacobians (k, n, n) at up to `count` of the saved points."""
         if self.reduction is None:
             raise ValueError(f"model '{self.name}': nothing was left out of it")
-        n, last, dae = len(self.dropped), len(trajectory.t) - 1, self.dae
+        n, last = len(self.reduction.inertial), len(trajectory.t) - 1
         picked = np.linspace(0, last, min(last + 1, count)).astype(int)
-        groups = (self._columns(trajectory, labels)[:, picked] for labels in
-                  (dae.x_labels, dae.z_labels, dae.u_labels, dae.p_labels))  # fmt: skip
-        t = trajectory.t[picked]
-        flat = np.array(ca.DM(self.reduction.transverse(t[None, :], *groups)))
-        return t, flat.reshape(n, len(picked), n).transpose(1, 0, 2)
+        columns = (column[:, picked] for column in self._arguments(trajectory))
+        flat = np.array(ca.DM(self.reduction.transverse(*columns)))
+        return trajectory.t[picked], flat.reshape(n, len(picked), n).transpose(1, 0, 2)
+
+    def _arguments(self, trajectory: Trajectory) -> list[np.ndarray]:
+        """Columns t, x, z, u and all parameters along a trajectory, one a point."""
+        dae = self.dae
+        groups = (dae.x_labels, dae.z_labels, dae.u_labels, (*dae.p_labels, *dae.idle_p_labels))
+        columns = [self._columns(trajectory, labels) for labels in groups]
+        return [trajectory.t[None, :], *columns]
 
     @staticmethod
     def _columns(trajectory: Trajectory, labels: tuple[Label, ...]) -> np.ndarray:
@@ -216,13 +248,17 @@ class Model:
             *table("algebraic unknowns", self.dae.z_labels),
             *table("inputs", self.dae.u_labels),
             *table("parameters", self.dae.p_labels),
+            *table("parameters without effect", self.dae.idle_p_labels),
         ]
+        if self.replaced:
+            lines.append("states replaced:")
+            lines += [f"  {r.name} = {r.how}" for r in self.replaced]
         if self.dropped:
             lines.append("states dropped:")
             lines += [f"  {d.name} = {d.value:.6g}: {d.reason}" for d in self.dropped]
         else:
             lines.append("states dropped: none")
-        return "\n".join(lines + [f"note: {note}" for note in self.dae.notes])
+        return "\n".join(lines + [f"note: {note}" for note in self.notes])
 
 
 def derive(dae: Dae, reduction: Reduction | None = None) -> Model:

@@ -134,22 +134,24 @@ def make_experiment(
 ) -> Experiment:
     """Everything by name turned into vectors, and checked."""
     dae = model.dae
-    p = _override(model, "parameter", dae.p_labels, [v.start for v in dae.p_labels], params)
+    every = (*dae.p_labels, *dae.idle_p_labels)
+    values = _override(model, "parameter", every, [v.start for v in every], params)
+    p, idle = values[: model.n_p], values[model.n_p :]
     x, z = dae.start_values(p)
     labels = (*dae.x_labels, *dae.z_labels)
     _check_kept(model, start)
     xz = _override(model, "state", labels, np.concatenate([x, z]), start)
     _check_known(model, "input", dae.u_labels, inputs)
     signals = tuple(_signal(model, v, inputs.get(v.name, v.start)) for v in dae.u_labels)
-    return Experiment(_times(times), xz[: model.n_x], xz[model.n_x :], p, signals)
+    return Experiment(_times(times), xz[: model.n_x], xz[model.n_x :], p, signals, idle)
 
 
 def _check_kept(model: Model, start: Mapping[str, float]) -> None:
-    still = {dropped.name: dropped.value for dropped in model.dropped}
-    for name in set(start) & set(model.left_out):
-        how = f"left out at {still[name]:.6g}" if name in still else "replaced by an angle"
+    still = {d.name: f"left out at {d.value:.6g}: {d.reason}" for d in model.dropped}
+    how = still | {r.name: f"replaced: it is {r.how}" for r in model.replaced}
+    for name in set(start) & set(how):
         raise ValueError(
-            f"model '{model.name}': state '{name}' was {how}; a start elsewhere needs "
+            f"model '{model.name}': state '{name}' was {how[name]}; a start elsewhere needs "
             "compile_scene(minimal=False)"
         )
 

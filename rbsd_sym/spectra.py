@@ -8,7 +8,7 @@ import numpy as np
 
 _INFINITE = 1e-4  # of an inverse eigenvalue times the shift
 _ROUNDING = 1e-6  # of a defective zero eigenvalue: sqrt(epsilon) with room for its scale
-_DRIFT = math.log(10.0)
+_TENFOLD = math.log(10.0)
 _TERMS = 12  # of the exponential's series, after scaling
 
 
@@ -36,17 +36,21 @@ def growth_rates(blocks: np.ndarray, inertial: np.ndarray) -> np.ndarray:
     return rates
 
 
-def growth_exponent(t: np.ndarray, blocks: np.ndarray) -> float | None:
-    """Logarithm of the spectral radius of the propagator of x' = J(t) x from blocks at times t.
+def growth_exponent(t: np.ndarray, blocks: np.ndarray, frozen: float) -> float:
+    """Growth of x' = J(t) x from blocks at times t, as an exponent; 0 if there is none.
 
-    Eigenvalues of J at each time tell little where its eigenvectors turn; this does. Less than
-    tenfold counts as 0, since neutral motion drifts in proportion to time. None where the times are
-    too far apart: every second one gives another answer.
+    Arguments:
+        frozen: the integral of the largest real part over time, which tells little where the
+            eigenvectors turn. The spectral radius of the propagator must bear it out: agree with it
+            to a fifth, or tell of more than tenfold growth, since neutral motion drifts in
+            proportion to time. `frozen` stands where the times are too far apart for a propagator:
+            every second one gives another answer.
     """
-    fine, coarse = (max(_exponent(t[::k], blocks[::k]), _DRIFT) for k in (1, 2))
-    if abs(fine - coarse) > 0.1 * fine:
-        return None
-    return fine if fine > _DRIFT else 0.0
+    fine, coarse = (_exponent(t[::k], blocks[::k]) for k in (1, 2))
+    least = min(0.8 * frozen, _TENFOLD)
+    if abs(max(fine, least) - max(coarse, least)) > 0.1 * max(fine, least):
+        return frozen
+    return fine if fine > least else 0.0
 
 
 def _exponent(t: np.ndarray, blocks: np.ndarray) -> float:

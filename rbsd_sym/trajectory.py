@@ -35,13 +35,17 @@ Signal = Union[float, Samples, Callable[[Any], Any]]
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """What to integrate: output times (n,), start x, z, values p, and one signal for each input."""
+    """What to integrate: output times (n,), start x, z, values p, and one signal for each input.
+
+    `idle` are values of parameters that only outputs outside y feel.
+    """
 
     t: np.ndarray
     x: np.ndarray
     z: np.ndarray
     p: np.ndarray
     inputs: tuple[Signal, ...]
+    idle: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 class Outcome(Enum):

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "rbsd_sym"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = (
-    {"zeros", "version", "spectra"},
+    {"zeros", "version", "spectra", "reduction"},
     {"rotation", "dae", "trajectory", "symbols"},
     {"mechanics", "checks"},
     {"laws", "sensors", "user_force"},

@@ -295,7 +295,7 @@ def test_both_spectra_together_are_the_full_one() -> None:
 
 def test_states_replaced_by_an_angle_cannot_be_started_elsewhere() -> None:
     model = rs.compile_scene(chain(1, rs.Consistent()))
-    with pytest.raises(ValueError, match=r"b0\.q_z.*replaced by an angle.*minimal=False"):
+    with pytest.raises(ValueError, match=r"b0\.q_z.*replaced: it is sin\(\(b0\.angle_z/2\)\).*minimal"):
         rs.simulate(model, 1.0, start={"b0.q_z": 0.1})
 
 
@@ -316,3 +316,120 @@ def test_planar_state_survives_saving(tmp_path: Path) -> None:
     half = trajectory["b0.angle_z"] / 2
     np.testing.assert_allclose(saved["b0.q_w"], np.cos(half), atol=1e-15)
     np.testing.assert_allclose(saved["b0.q_z"], np.sin(half), atol=1e-15)
+
+
+# Only what the requested outputs feel.
+
+
+def bob(outputs: Any = None, law: Any = None) -> rs.Scene:
+    """A spinning body whose isotropic spring, at its centre, does not feel the rotation."""
+    body = rs.RigidBody("b", 2, (1, 2, 3), position=(1, 0, 0), angular_velocity=(1, 2, 3))
+    spring = rs.RigidBodySpringDamper(
+        "c", GROUND, BODY, (50, 60, 70, 0, 0, 0), (1, 1, 1, 0, 0, 0), law=law or rs.Standard()
+    )
+    return rs.Scene("s", [body], [spring], gravity=(0, 1, -9.81), outputs=outputs)
+
+
+def test_states_that_no_requested_output_feels_are_dropped() -> None:
+    assert rs.compile_scene(bob()).n_x == 13
+    assert rs.compile_scene(bob(["b.angular_velocity"])).n_x == 3
+    model = rs.compile_scene(bob(["b.position", "c.force_local"]))
+    assert {v.name[:3] for v in model.x_labels} == {"b.p", "b.v"}
+    assert {d.name: d.reason for d in model.dropped}["b.w_x"] == "no requested output feels it"
+    times = np.linspace(0, 1, 5)
+    small = rs.simulate(model, times, rs.ExplicitRK(1e-11, 1e-13))
+    whole = rs.simulate(rs.compile_scene(bob(), minimal=False), times, rs.ExplicitRK(1e-11, 1e-13))
+    for name in ("b.position", "c.force_local", "b.p_z", "momentum"):
+        np.testing.assert_allclose(small[name], whole[name], rtol=1e-9, atol=1e-9)
+
+
+def test_what_needs_dropped_states_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    model = rs.compile_scene(bob(["b.position"]))
+    trajectory = rs.simulate(model, 0.1)
+    for name in ("b.quaternion", "energy"):
+        with pytest.raises(ValueError, match=rf"{name}.*outputs=\["):
+            trajectory[name]
+    with pytest.raises(ValueError, match=r"b\.q_w.*no requested output feels it.*minimal=False"):
+        rs.simulate(model, 0.1, start={"b.q_w": 1.0})
+    saved = rs.Trajectory.load(trajectory.save(tmp_path / "bob"))
+    assert "b.p_x" in saved
+    assert "b.w_x" not in saved
+
+
+def test_an_output_that_feels_everything_keeps_everything() -> None:
+    assert rs.compile_scene(bob(["b.position"], rs.Consistent())).n_x == 13  # torque by Am
+    assert rs.compile_scene(bob(["angular_momentum"])).n_x == 13
+    assert rs.compile_scene(bob(["energy"])).n_x == 9  # it needs no orientation
+
+
+def test_parameters_without_effect_are_not_in_the_model_nor_in_c(tmp_path: Path) -> None:
+    k, side, spare = (rs.Param(name, 100.0) for name in ("k", "side", "spare"))
+    scene = one_body({"stiffness": [side, side, k, 10, 10, 10]}, gravity=(0, 0, -9.81))
+    idle = rs.RigidBodySpringDamper("idle", GROUND, BODY, [spare] * 6, active=False)
+    outputs = ["b.position", "c.force_local"]
+    scene = rs.Scene("s", scene.bodies, [*scene.connectors, idle], gravity=(0, 0, -9.81),
+                     outputs=outputs)  # fmt: skip
+    model = rs.compile_scene(scene)
+    assert (model.n_x, model.n_p) == (2, 1)
+    artefact = rs.export_c(model, tmp_path / "s")
+    header = (artefact.folder / "s.h").read_text()
+    assert "S_P_K" in header
+    assert "SIDE" not in header.upper()
+    assert "SPARE" not in header.upper()
+    values = {"side": 3.0, "spare": 7.0, "k": 50.0}  # accepted, and remembered
+    trajectory = rs.simulate(model, 0.1, params=values)
+    assert trajectory.parameters == values
+    full = rs.simulate(rs.compile_scene(scene, minimal=False), 0.1, params=values)
+    np.testing.assert_allclose(trajectory["b.position"], full["b.position"], atol=1e-7)
+
+
+def test_stability_of_what_was_left_out_sees_its_own_parameters() -> None:
+    side = rs.Param("side", 100.0)
+    scene = one_body({"stiffness": [side, 100, 100, 10, 10, 10]}, gravity=(0, 0, -9.81))
+    model = rs.compile_scene(rs.Scene("s", scene.bodies, scene.connectors, gravity=scene.gravity,
+                                      outputs=["b.position"]))  # fmt: skip
+    assert model.n_p == 0
+    assert rs.simulate(model, 1.0).outcome is rs.Outcome.reached_end
+    with pytest.warns(rs.ModelWarning, match="grows with 5 1/s"):  # sqrt(25 N/m / 1 kg)
+        rs.simulate(model, 1.0, params={"side": -25.0})
+
+
+def test_inactive_connector_is_not_in_c(tmp_path: Path) -> None:
+    scene = one_body({"active": False})
+    model = rs.compile_scene(scene)
+    assert not [name for name in model.dae.requested if name.startswith("c.")]
+    trajectory = rs.simulate(model, 0.1)
+    assert np.all(trajectory["c.force0"] == 0)  # still there when asked for
+
+
+def test_printed_model_tells_what_was_replaced() -> None:
+    text = str(rs.compile_scene(chain(1, rs.Consistent())))
+    assert "b0.q_w = cos((b0.angle_z/2))" in text
+    assert "b0.p_z = 0: its rate is zero" in text
+
+
+def test_zeros_that_are_seen_but_not_proven_are_named(tmp_path: Path) -> None:
+    """Two mounts, mirror images of each other: their pitch moments cancel, by no syntax."""
+    mounts = [
+        rs.RigidBodySpringDamper(
+            name, rs.Marker(rs.GROUND, (x, 0, 0)), rs.Marker("b", (x, 0, 0)), [1e4] * 3 + [10] * 3,
+            law=rs.Consistent(),
+        )
+        for name, x in (("left", -0.3), ("right", 0.3))
+    ]  # fmt: skip
+    body = rs.RigidBody("b", 10, (1, 1, 1))
+    model = rs.compile_scene(rs.Scene("s", [body], mounts, gravity=(0, 0, -9.81)))
+    assert {"b.p_z", "b.v_z", "b.angle_y", "b.w_y"} <= {v.name for v in model.x_labels}
+    assert model.reduction is not None
+    assert {"b.p_x", "b.q_y", "b.w_y"} <= set(model.reduction.suspects)
+    assert "b.p_z" not in model.reduction.suspects
+    card = (rs.export_c(model, tmp_path / "s").folder / "README.md").read_text()
+    for text in (str(model), card):
+        assert "no proof was found" in text
+
+
+def test_nothing_is_suspected_where_everything_moves() -> None:
+    for scene in (chain(3, rs.Consistent()), reference_scenes.build("coupled")):
+        model = rs.compile_scene(scene)
+        assert model.reduction is not None
+        assert model.reduction.suspects == ()

@@ -267,7 +267,22 @@ def test_a_chain_in_any_plane_with_any_body_axes(links: int, seed: int, law: Any
     (plane,) = planes(scene)
     assert rs.compile_scene(plane.scene).n_x == 6 * links
     np.testing.assert_allclose(plane.scene.gravity, (9.81, 0, 0), rtol=1e-14)  # x is down
+    assert all(body.position[2] == 0 for body in plane.scene.bodies)
     assert rs.compile_scene(scene).n_x == 13 * links  # which the scene itself does not show
+
+
+@pytest.mark.parametrize("law", LAWS, ids=by_name)
+def test_far_from_all_origins(law: Any) -> None:
+    """Rounding is that of the numbers given: here of 1e3 m and of 200 m, for links of 1 m."""
+    for seed in range(3):
+        assert sizes(shuffled(chain(1, law), seed, far=1e3)) == [6]
+    link = rs.RigidBody(
+        "b0", 1, (0.01, 0.1, 0.1), com=(100.5, 200, 0), position=(-100, -200, 0),
+        velocity=(400, -200, 0), angular_velocity=(0, 0, 2),
+    )  # fmt: skip
+    joint = replace(chain(1, law).connectors[0], marker1=rs.Marker("b0", (100, 200, 0)))
+    for seed in range(3):
+        assert sizes(shuffled(rs.Scene("s", [link], [joint]), seed)) == [6]
 
 
 def test_a_centre_of_mass_away_from_the_origin_and_a_start_in_motion() -> None:
@@ -412,10 +427,22 @@ def test_scenes_that_need_no_other_axes_have_no_candidate() -> None:
 
 def test_bodies_whose_axes_cannot_be_turned_have_no_candidate() -> None:
     """A symbolic start rotation, and a rod: its missing inertia is found by its row of zeros."""
-    scene = shuffled(chain(1, rs.Consistent()), 0)
+    R = some_rotation(np.random.default_rng(0))
+    scene = carried(chain(1, rs.Consistent()), R)
     (link,) = scene.bodies
     angle = rs.Param("angle", 0.0)
-    turn = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
-    for changes in ({"rotation": link.rotation @ np.array(turn)}, {"inertia": (0, 0.1, 0.1)}):
-        assert list(planes(scene))
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    assert sizes(scene) == [6]
+    for changes in ({"rotation": R @ turn}, {"inertia": (0, 0.1, 0.1)}):
         assert not list(planes(replace(scene, bodies=[replace(link, **changes)])))
+
+
+def test_points_without_a_force_may_be_anywhere() -> None:
+    """Of a torque, and of connectors that are not active."""
+    plain = chain(1, rs.Consistent())
+    off = replace(plain.connectors[0], name="off", marker1=rs.Marker("b0", (0, 0, 1)), active=False)
+    torque = rs.Load("m", rs.Marker("b0", (0, 0, 1)), torque=(0, 0, 2))
+    scene = replace(plain, connectors=[*plain.connectors, off], loads=[torque])
+    assert sizes(shuffled(scene, 0)) == [6]

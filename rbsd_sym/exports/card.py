@@ -43,8 +43,14 @@ def card_text(model: Model, functions: list[Exported]) -> str:
         lines += [f"| `{d.name}` | {d.value!r} | {d.reason} |" for d in model.dropped]
     else:
         lines.append("None.")
-    if dae.notes:
-        lines += ["", "## Notes", "", *(f"- {note}" for note in dae.notes)]
+    if model.replaced:
+        lines += ["", "## States replaced", "", "| state | is |", "|---|---|"]
+        lines += [f"| `{r.name}` | `{r.how}` |" for r in model.replaced]
+    if dae.idle_p_labels:
+        lines += ["", "## Parameters without effect", ""]
+        lines += [f"- `{label.name}` = {label.start!r} {label.unit}" for label in dae.idle_p_labels]
+    if model.notes:
+        lines += ["", "## Notes", "", *(f"- {note}" for note in model.notes)]
     return "\n".join([*lines, ""])
 
 

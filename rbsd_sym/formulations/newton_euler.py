@@ -68,6 +68,7 @@ def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
         parts=(*_bodies(layout), *_loads(layout), *_connectors(connectors)),
         outputs=outputs,
         requested=writer.requested(outputs),
+        only_requested=bool(scene.outputs),
         notes=audit(scene),
         turns=layout.turns(),
         balances=tuple(b for i in range(len(scene.bodies)) for b in layout.balances(i)),

@@ -63,13 +63,16 @@ class OutputWriter:
     def requested(self, outputs: dict[str, Output]) -> tuple[str, ...]:
         """Names of the outputs in `out`: those the scene asks for, or all of a small scene.
 
+        All of it but what belongs to connectors that are not active.
+
         Raises:
             ValueError: an unknown name.
         """
         scene = self.layout.scene
         if scene.outputs is None:
             small = len(scene.bodies) + len(scene.connectors) <= _ALL_UP_TO
-            return tuple(outputs) if small else ()
+            idle = {c.name for c in scene.connectors if not c.active}
+            return tuple(n for n in outputs if n.split(".")[0] not in idle) if small else ()
         for name in scene.outputs:
             if name not in outputs:
                 owner = str(name).split(".")[0]

@@ -292,13 +292,9 @@ class _Start(NamedTuple):
     inertias: np.ndarray  # (k, 3, 3)
     joints: np.ndarray  # joint frames A_0 to world (k, 3, 3)
     points: np.ndarray  # centres of mass, and where forces act (k, 3)
+    reach: float  # largest distance of a point or body frame from the world origin, m
     pulls: list[np.ndarray]  # gravity, velocities, forces, offsets: (k, 3) each
     turning: np.ndarray  # angular velocities and torques (k, 3)
-
-    @property
-    def reach(self) -> float:
-        """Largest distance of a point from the world origin, m."""
-        return float(np.linalg.norm(self.points, axis=1).max())
 
     def in_plane(self, n: np.ndarray | None = None) -> np.ndarray:
         """Vectors that lie in a plane of motion (with normal n), each kind 1 long at most."""
@@ -391,6 +387,7 @@ def _see(scene: Scene) -> _Start:
         np.array(inertias),
         np.array(joints).reshape(-1, 3, 3),
         np.array(points),
+        float(np.linalg.norm([*points, *p.values()], axis=1).max()),
         [np.array(vectors).reshape(-1, 3) for vectors in kinds],
         np.array([v for v in turning if v.any()]).reshape(-1, 3),
     )

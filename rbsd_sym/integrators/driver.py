@@ -6,6 +6,7 @@ import contextlib
 import io
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -53,7 +54,7 @@ def run(
         z, consistent = _consistent(model, experiment)
         if not consistent:
             return _not_consistent(model, experiment)
-        experiment = Experiment(experiment.t, experiment.x, z, experiment.p, experiment.inputs)
+        experiment = replace(experiment, z=z)
     integrator, kept = _integrator(model, experiment, plugin, options)
     built = time.perf_counter()
     result = _evaluate(integrator, experiment)
@@ -205,7 +206,9 @@ def assemble(
     u = input_values(experiment.inputs, t)
     columns |= {label.name: Column(u[i], label.unit) for i, label in enumerate(dae.u_labels)}
     states = tuple(label.name for label in (*dae.x_labels, *dae.z_labels))
-    parameters = {label.name: float(v) for label, v in zip(dae.p_labels, experiment.p, strict=True)}
+    values = np.concatenate([experiment.p, experiment.idle])
+    labels = (*dae.p_labels, *dae.idle_p_labels)
+    parameters = {label.name: float(v) for label, v in zip(labels, values, strict=True)}
     return Trajectory(
         model.name, t, columns, outcome, report, stats, parameters, states, model.digest,
         model.measure, model.left_out,

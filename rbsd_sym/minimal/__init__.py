@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from ..dae import Dae, Reduction
+from ..dae import Dae
+from ..reduction import Reduction
 from .balance import balance
 from .freeze import freeze
 from .planar import planar
-from .transverse import dropped, inertial, transverse
+from .suspects import suspects
+from .transverse import dropped, inertial, replaced, transverse
+from .unused import unused, without_effect
 
 __all__ = ["balance", "freeze", "planar", "reduce"]
 
 
 def reduce(dae: Dae) -> tuple[Dae, Reduction]:
-    """All passes: what never moves, turns about one axis, motions without inertia.
+    """All passes: what never moves, turns about one axis, has no inertia, is felt by no output.
 
     The small model is exact for every value of the states it keeps, the inputs and the parameters.
     """
-    reduced = balance(planar(freeze(dae)))
+    reduced = without_effect(unused(balance(planar(freeze(dae)))))
+    left = dropped(dae, reduced)
     return reduced, Reduction(
-        dropped(dae, reduced), inertial(dae, reduced), lambda: transverse(dae, reduced)
+        left,
+        replaced(dae, reduced),
+        inertial(dae, reduced),
+        lambda: transverse(dae, reduced),
+        lambda: suspects(dae, {d.name for d in left}),
     )

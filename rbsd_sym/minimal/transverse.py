@@ -4,15 +4,41 @@ from __future__ import annotations
 
 import casadi as ca
 
-from ..dae import Dae, Dropped
+from ..dae import Dae, Label
+from ..reduction import Dropped, Replaced
 
 _NEVER_MOVES = "its rate is zero while all dropped states keep their start values"
+_NOT_FELT = "no requested output feels it"
 
 
 def dropped(full: Dae, reduced: Dae) -> tuple[Dropped, ...]:
-    """The states that never move."""
+    """The states that never move, then those that no requested output feels."""
     labels = [full.x_labels[i] for i in _gone(reduced)]
-    return tuple(Dropped(label.name, label.start, _NEVER_MOVES) for label in labels)
+    still = tuple(Dropped(label.name, label.start, _NEVER_MOVES) for label in labels)
+    way = reduced.expansion
+    lost = [way.labels[i] for i in sorted(way.unknown)] if way else []
+    return still + tuple(Dropped(label.name, label.start, _NOT_FELT) for label in lost)
+
+
+def replaced(full: Dae, reduced: Dae) -> tuple[Replaced, ...]:
+    """The states that follow from others."""
+    way = reduced.expansion
+    if way is None:
+        return ()
+    here = {label.name for label in (*reduced.x_labels, *reduced.z_labels)}
+    left = {d.name for d in dropped(full, reduced)}
+    hows = {row: _rate_of(way.labels, motion.coordinates) for motion in way.followers
+            for row in motion.velocities}  # fmt: skip
+    states = ca.vertsplit(way.states) if way.rows else []
+    pairs = [(i, label) for i, label in enumerate(way.labels)
+             if label.name not in here and label.name not in left]  # fmt: skip
+    return tuple(
+        Replaced(label.name, hows.get(i, f"{states[i]}".replace("@", ""))) for i, label in pairs
+    )
+
+
+def _rate_of(labels: tuple[Label, ...], coordinates: tuple[int, ...]) -> str:
+    return "rate of " + ", ".join(labels[row].name for row in coordinates)
 
 
 def inertial(full: Dae, reduced: Dae) -> tuple[bool, ...]:
@@ -22,12 +48,17 @@ def inertial(full: Dae, reduced: Dae) -> tuple[bool, ...]:
 
 
 def transverse(full: Dae, reduced: Dae) -> ca.Function:
-    """Jacobian of the rates that vanish by the states that never move, on the kept manifold."""
+    """Jacobian of the rates that vanish by the states that never move, on the kept manifold.
+
+    Parameters that only the dropped motion feels come after p.
+    """
     rows, block = _gone(reduced), ca.SX(0, 0)
     if rows:
         block = ca.jacobian(full.ode[rows], full.x[rows])
         block = ca.substitute(block, full.x, reduced.measured[: full.x.numel()])
-    return ca.Function("transverse", reduced.symbols, [block], list("txzup"), ["transverse"])
+    t, x, z, u, p = reduced.symbols
+    arguments = [t, x, z, u, ca.vertcat(p, reduced.idle_p)]
+    return ca.Function("transverse", arguments, [block], list("txzup"), ["transverse"])
 
 
 def _gone(reduced: Dae) -> list[int]:
@@ -41,5 +72,8 @@ def _gone(reduced: Dae) -> list[int]:
     return [
         i
         for i, row in enumerate(way.rows)
-        if row is None and i not in follows and not ca.depends_on(states[i], moving)
+        if row is None
+        and i not in follows
+        and i not in way.unknown
+        and not ca.depends_on(states[i], moving)
     ]

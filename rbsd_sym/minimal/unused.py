@@ -1,0 +1,126 @@
+"""Unused: leave out the states that no requested output feels, and parameters without effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+
+from ..dae import Dae, Expansion, Part
+
+
+def unused(dae: Dae) -> Dae:
+    """Drop states and unknowns that no requested output depends on, now or later.
+
+    Only where outputs were asked for by name: else all states are of interest.
+    """
+    way = dae.expansion
+    if not dae.only_requested or way is None:
+        return dae
+    kept_x, kept_z, kept_alg = _felt(dae)
+    if len(kept_x) == dae.x.numel() and len(kept_z) == dae.z.numel():
+        return dae
+    gone = [dae.x[i] for i in range(dae.x.numel()) if i not in kept_x]
+    gone += [dae.z[i] for i in range(dae.z.numel()) if i not in kept_z]
+    start = [dae.x_start[i] for i in range(dae.x.numel()) if i not in kept_x]
+    start += [dae.z_start[i] for i in range(dae.z.numel()) if i not in kept_z]
+    symbols = ca.vertcat(*gone)
+    states = ca.vertsplit(way.states)
+    lost = {i for i, state in enumerate(states) if ca.depends_on(state, symbols)}
+    for motion in way.followers:
+        lost |= set(motion.velocities) if lost & set(motion.coordinates) else set()
+    x_place = {old: new for new, old in enumerate(sorted(kept_x))}
+    alg_place = {old: new for new, old in enumerate(sorted(kept_alg))}
+    rows = tuple(None if row is None else x_place.get(row) for row in way.rows)
+    alg_rows = tuple(None if row is None else alg_place.get(row) for row in way.alg_rows)
+    expansion = Expansion(
+        ca.substitute(way.states, symbols, ca.vertcat(*start)), way.labels, rows, alg_rows,
+        tuple(m for m in way.followers if not lost & set(m.velocities)),
+        way.unknown | frozenset(lost),
+    )  # fmt: skip
+    return replace(
+        _only(dae, sorted(kept_x), sorted(kept_z)),
+        parts=tuple(_renumbered(part, alg_place) for part in dae.parts
+                    if _matters(part, rows, alg_rows, alg_place)),
+        expansion=expansion,
+    )  # fmt: skip
+
+
+def _only(dae: Dae, x: list[int], z: list[int]) -> Dae:
+    none = ca.SX(0, 1)
+    return replace(
+        dae,
+        x=dae.x[x] if x else none,
+        x_start=dae.x_start[x] if x else none,
+        x_labels=tuple(dae.x_labels[i] for i in x),
+        z=dae.z[z] if z else none,
+        z_start=dae.z_start[z] if z else none,
+        z_labels=tuple(dae.z_labels[i] for i in z),
+    )
+
+
+def _felt(dae: Dae) -> tuple[set[int], set[int], set[int]]:
+    """States, unknowns and equations that the requested outputs depend on.
+
+    An unknown needs every equation it is in, and so every unknown in these.
+    """
+    n = dae.x.numel()
+    xz = ca.vertcat(dae.x, dae.z)
+    reads = _rows(ca.jacobian_sparsity(ca.vertcat(dae.ode, dae.alg), xz))
+    equations: dict[int, set[int]] = {}
+    for row in range(n, len(reads)):
+        for column in reads[row]:
+            equations.setdefault(column, set()).add(row)
+    todo = {column for row in _rows(ca.jacobian_sparsity(dae.out, xz)) for column in row}
+    felt: set[int] = set()
+    alg: set[int] = set()
+    while todo:
+        column = todo.pop()
+        felt.add(column)
+        rows = {column} if column < n else equations.get(column, set()) - alg
+        alg |= {row for row in rows if row >= n}
+        todo |= {other for row in rows for other in reads[row]} - felt
+    return (
+        {i for i in felt if i < n},
+        {i - n for i in felt if i >= n},
+        {row - n for row in alg},
+    )
+
+
+def _rows(pattern: ca.Sparsity) -> list[list[int]]:
+    """Columns with a nonzero, row by row."""
+    transposed = pattern.T
+    bounds, columns = transposed.colind(), transposed.row()
+    return [columns[a:b] for a, b in pairwise(bounds)]
+
+
+def _matters(
+    part: Part, rows: tuple[int | None, ...], alg_rows: tuple[int | None, ...],
+    alg_place: dict[int, int],
+) -> bool:  # fmt: skip
+    live = any(rows[row] is not None or alg_rows[row] is not None for row in part.ode_rows)
+    return live or any(row in alg_place for row in part.alg_rows)
+
+
+def _renumbered(part: Part, alg_place: dict[int, int]) -> Part:
+    return replace(part, alg_rows=tuple(alg_place[row] for row in part.alg_rows))
+
+
+def without_effect(dae: Dae) -> Dae:
+    """Move the parameters that nothing in the model and its requested outputs feels out of p."""
+    if not dae.p.numel():
+        return dae
+    everything = ca.vertcat(dae.ode, dae.alg, dae.x_start, dae.z_start, dae.out)
+    felt = np.array(ca.which_depends(everything, dae.p, 1, False), bool).reshape(-1)
+    if felt.all():
+        return dae
+    kept, idle = ([int(i) for i in np.flatnonzero(mask)] for mask in (felt, ~felt))
+    return replace(
+        dae,
+        p=dae.p[kept] if kept else ca.SX(0, 1),
+        p_labels=tuple(dae.p_labels[i] for i in kept),
+        idle_p=dae.p[idle],
+        idle_p_labels=tuple(dae.p_labels[i] for i in idle),
+    )
