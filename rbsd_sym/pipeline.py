@@ -16,10 +16,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .dae import Dae, Label
+from .dae import Label
 from .formulations import ModelWarning, Quaternion
+from .in_plane import Formulation, smallest
 from .integrators import Idas
-from .minimal import balance, reduce
+from .minimal import balance
 from .model import Model, derive
 from .scene import Scene
 from .symbols import is_number
@@ -27,14 +28,6 @@ from .trajectory import Experiment, Outcome, Samples, Signal, Trajectory
 
 _DEFAULT_INTERVALS = 200
 _GROWTH_WORTH_A_WARNING = 0.2  # exponent: a disturbance that grows by less than a fifth is none
-
-
-class Formulation(Protocol):
-    """A choice of coordinates: writes a scene as a `Dae`."""
-
-    def write(self, scene: Scene) -> Dae:
-        """The scene as a `Dae`."""
-        ...
 
 
 class Integrator(Protocol):
@@ -61,13 +54,15 @@ def compile_scene(
     Arguments:
         formulation: coordinates, `Quaternion()` by default.
         minimal: leave out the states that provably never move, and give a body that turns about
-            one axis one angle (`minimal.reduce`). Trajectories and outputs keep their full meaning.
+            one axis one angle (`minimal`). Trajectories and outputs keep their full meaning.
 
     Raises:
         ValueError: the scene cannot be written in these coordinates.
     """
-    dae = (formulation or Quaternion()).write(scene)
-    return derive(*reduce(dae)) if minimal else derive(balance(dae))
+    chosen = formulation or Quaternion()
+    if not minimal:
+        return derive(balance(chosen.write(scene)))
+    return derive(*smallest(scene, chosen))
 
 
 def simulate(

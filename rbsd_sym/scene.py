@@ -153,7 +153,7 @@ class Scene:
             parts = (
                 f"{f.name}={_text(getattr(item, f.name))}"
                 for f in fields(item)
-                if f.name not in _DRAWING | {"force"}
+                if f.name not in _DRAWING and not callable(getattr(item, f.name))
             )
             lines.append(f"{type(item).__name__} " + " ".join(parts))
         lines += [f"force {force.text}" for force in self.traced if force]

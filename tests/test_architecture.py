@@ -24,7 +24,7 @@ FLOORS = (
     {"scene"},
     {"formulations"},
     {"minimal", "model"},
-    {"exports", "integrators"},
+    {"exports", "integrators", "in_plane"},
     {"pipeline"},
     {"ocp", "study"},
     {"plots", "__main__"},

@@ -10,25 +10,34 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ..checks import at_default, is_symbolic
-from ..elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
+from ..elements import GROUND
 from ..rotation import quat_product
 from ..scene import Scene
-from ..symbols import Scalar, leaves_of, to_expr
 from .columns import rotation_pair
 from .layout import Layout
+from .rewrite import (
+    EYE,
+    Axes,
+    body_in,
+    connector_in,
+    left,
+    load_in,
+    matrix_at_start,
+    quaternion_of,
+    snap,
+    snap_rotation,
+    times,
+)
 
-_ROUNDING = 16 * float(np.finfo(float).eps)  # of a few products of rotations and vectors
 _FLAT = 1e-12  # relative distance from a plane, and angle (rad) from its normal, of careful input
 _THIN = 1e-9  # relative width below which vectors are on one line
 _AT_MOST = 4  # candidates
-_EYE = np.eye(3)
-_SUMS = {ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1,), ca.OP_TWICE: (2,)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +51,7 @@ class Plane:
         origin: of V, world axes (3,), m; p_W = origin + Q p_V.
         turned: R_BN (3, 3) of each body, its new axes to its own.
         quaternions: of R_NB (4,), with the sign that gives the start of the original scene.
+        place: which axis of V is the normal.
     """
 
     scene: Scene
@@ -49,11 +59,17 @@ class Plane:
     origin: np.ndarray
     turned: tuple[np.ndarray, ...]
     quaternions: tuple[np.ndarray, ...]
+    place: int
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Unit normal of the plane, world axes (3,)."""
+        return self.Q[:, self.place]
 
     @property
     def keeps_world(self) -> bool:
         """Whether positions and velocities mean what they do in the original scene."""
-        return bool((self.Q == _EYE).all() and not self.origin.any())
+        return bool((self.Q == EYE).all() and not self.origin.any())
 
     def way_back(self, layout: Layout, x: ca.SX) -> ca.SX:
         """States of the original scene (n, 1) from those of the new one.
@@ -89,197 +105,41 @@ def planes(scene: Scene) -> Iterator[Plane]:
     start = _see(scene)
     for n, place in islice(start.normals(), _AT_MOST):
         if _is_axis(n) and n[place]:
-            yield _written_in(scene, _EYE, np.zeros(3))
+            yield written_in(scene, EYE, np.zeros(3), place)
         else:
-            foot = n * _snap(n @ start.points[0], start.reach)
-            yield _written_in(scene, start.plane_axes(n, place), foot)
+            foot = n * snap(n @ start.points[0], start.reach)
+            yield written_in(scene, start.plane_axes(n, place), foot, place)
 
 
-# Numbers, and symbols times numbers.
+def written_in(scene: Scene, Q: np.ndarray, origin: np.ndarray, place: int = 2) -> Plane:
+    """The scene in world axes V (R_WV = Q, at origin), and body axes parallel to V at the start."""
+    start, q_VW = _see(scene), quaternion_of(Q) * (1, -1, -1, -1)
+    level = times(Q.T, start.points[0] - origin, start.reach)
+    axes = {GROUND: Axes(Q.T, q_VW, origin, start.reach, level)}
+    for body, R in zip(scene.bodies, start.rotations, strict=True):
+        q_NB = snap_rotation(left(q_VW) @ quaternion_of(body.rotation))
+        size = float(np.linalg.norm(at_default(body.com)))
+        axes[body.name] = Axes(snap_rotation(Q.T @ R), q_NB, body.com, size, np.zeros(3))
+    written = replace(
+        scene,
+        bodies=[body_in(body, axes) for body in scene.bodies],
+        connectors=[connector_in(c, Q, axes) for c in scene.connectors],
+        loads=[load_in(load, axes) for load in scene.loads],
+        gravity=times(Q.T, scene.gravity),
+    )
+    own = [axes[body.name] for body in scene.bodies]
+    return Plane(
+        written, Q, origin, tuple(a.turn.T for a in own), tuple(a.q_NB for a in own), place
+    )
 
 
 def _is_axis(n: np.ndarray) -> bool:
     return int(np.count_nonzero(n)) == 1
 
 
-def _matrix(rotation: np.ndarray) -> np.ndarray:
-    """A checked rotation as a matrix (3, 3), every symbol at its default."""
-    value = at_default(rotation)
-    if value.shape == (3, 3):
-        return value
-    M = _left(value) * (1, -1, -1, -1)
-    return (M @ M)[1:, 1:] / (value @ value)  # b -> q b q*, of pure quaternions b
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """A rotation of numbers as a quaternion (4,), of the sign that a start has."""
-    return np.array(ca.DM(rotation_pair(rotation)[1])).reshape(4)
-
-
-def _left(q: np.ndarray) -> np.ndarray:
-    """The matrix (4, 4) of the product q b of quaternions."""
-    w, x, y, z = q
-    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-
-
 def _across(a: np.ndarray, n: np.ndarray) -> np.ndarray:
     """Length of the part of vectors a (..., 3) across the unit vector n."""
     return np.linalg.norm(np.cross(a, n), axis=-1)
-
-
-def _snap(values: Any, scale: float, exact: tuple[float, ...] = (0.0,)) -> np.ndarray:
-    """Values within 16 epsilon of the scale of exact ones become exact."""
-    out = np.array(values, float)
-    for number in exact:
-        out[np.abs(out - number) <= _ROUNDING * scale] = number
-    return out
-
-
-def _rotation(product: np.ndarray) -> np.ndarray:
-    return _snap(product, 1.0, (-1.0, 0.0, 1.0))
-
-
-def _terms(expr: ca.SX) -> Iterator[tuple[int, float, ca.SX]]:
-    """A scalar as a sum of (key, factor, atom); the key of the number 1 is 0."""
-    left = [(expr, 1.0)]
-    while left:
-        expr, factor = left.pop()
-        if expr.is_constant():
-            yield 0, factor * float(expr), ca.SX(1)
-            continue
-        op, parts = expr.op(), [expr.dep(i) for i in range(expr.n_dep())]
-        if op in _SUMS:
-            left += [(part, factor * w) for part, w in zip(parts, _SUMS[op], strict=True)]
-        elif op == ca.OP_MUL and parts[0].is_constant():  # CasADi writes the number first
-            left.append((parts[1], factor * float(parts[0])))
-        elif op == ca.OP_DIV and parts[1].is_constant():
-            left.append((parts[0], factor / float(parts[1])))
-        else:
-            yield expr.element_hash(), factor, expr
-
-
-def _times(A: np.ndarray, v: np.ndarray, scale: float = 0.0) -> np.ndarray:
-    """A v; entries within 16 epsilon of the norm of v (plus the scale) become zero.
-
-    A vector of symbols is taken apart into numbers times symbols, and each symbol's numbers are
-    treated alike, so that multiples of one Param that cancel leave nothing.
-
-    Arguments:
-        A: numbers (m, n).
-        v: numbers or symbols (n,).
-        scale: size of the numbers of which v is a difference.
-    """
-    if not is_symbolic(v):
-        return _snap(A @ v, float(np.linalg.norm(v)) + scale)
-    numbers: dict[int, np.ndarray] = {}
-    atoms: dict[int, ca.SX] = {}
-    for i, expr in enumerate(ca.vertsplit(ca.cse(to_expr(v)))):
-        for key, factor, atom in _terms(expr):
-            atoms[key] = atom
-            numbers.setdefault(key, np.zeros(len(v)))[i] += factor
-    rows = [ca.SX(0)] * len(A)
-    for key, column in numbers.items():
-        product = _snap(A @ column, float(np.linalg.norm(column)) + (0.0 if key else scale))
-        rows = [row + float(c) * atoms[key] for row, c in zip(rows, product, strict=True)]
-    out: np.ndarray = np.empty(len(A), dtype=object)
-    out[:] = [float(row) if row.is_constant() else Scalar(row, leaves_of(v)) for row in rows]
-    return out
-
-
-# The scene in other axes.
-
-
-class _Axes(NamedTuple):
-    """New axes N of a body (or of the world, V) against its own, B."""
-
-    turn: np.ndarray  # R_NB
-    q_NB: np.ndarray
-    origin: np.ndarray  # of N, in B
-    scale: float  # size of the coordinates
-    level: np.ndarray  # coordinates in N that near ones are set to
-
-    def point(self, p: np.ndarray) -> np.ndarray:
-        out = _times(self.turn, p - self.origin, self.scale)
-        for i, value in enumerate(self.level):
-            if not isinstance(out[i], Scalar) and abs(out[i] - value) <= _ROUNDING * self.scale:
-                out[i] = value
-        return out
-
-    def tensor(self, T: np.ndarray) -> np.ndarray:
-        out = _times(np.kron(self.turn, self.turn), T.reshape(9)).reshape(3, 3)
-        for i, j in ((1, 0), (2, 0), (2, 1)):
-            out[i, j] = out[j, i]
-        return out
-
-    def marker(self, m: Marker) -> Marker:
-        R = m.rotation
-        if not is_symbolic(R):
-            R = _rotation(self.turn @ _matrix(R))
-        elif R.shape == (3, 3):
-            R = _times(np.kron(self.turn, _EYE), R.reshape(9)).reshape(3, 3)
-        else:
-            R = _times(_left(self.q_NB), R)
-        return replace(m, position=self.point(m.position), rotation=R)
-
-
-def _written_in(scene: Scene, Q: np.ndarray, origin: np.ndarray) -> Plane:
-    """The scene in world axes V (R_WV = Q, at origin), and body axes parallel to V at the start."""
-    start, q_VW = _see(scene), _quaternion(Q) * (1, -1, -1, -1)
-    level = _times(Q.T, start.points[0] - origin, start.reach)
-    axes = {GROUND: _Axes(Q.T, q_VW, origin, start.reach, level)}
-    for body, R in zip(scene.bodies, start.rotations, strict=True):
-        q_NB = _rotation(_left(q_VW) @ _quaternion(body.rotation))
-        size = float(np.linalg.norm(at_default(body.com)))
-        axes[body.name] = _Axes(_rotation(Q.T @ R), q_NB, body.com, size, np.zeros(3))
-    written = replace(
-        scene,
-        bodies=[_body(body, axes) for body in scene.bodies],
-        connectors=[_connector(c, Q, axes) for c in scene.connectors],
-        loads=[_load(load, axes) for load in scene.loads],
-        gravity=_times(Q.T, scene.gravity),
-    )
-    own = [axes[body.name] for body in scene.bodies]
-    return Plane(written, Q, origin, tuple(a.turn.T for a in own), tuple(a.q_NB for a in own))
-
-
-def _body(body: RigidBody, axes: dict[str, _Axes]) -> RigidBody:
-    own, world, R_WB = axes[body.name], axes[GROUND], _matrix(body.rotation)
-    swing = _times(R_WB, np.cross(body.angular_velocity, body.com))
-    speed = float(np.linalg.norm(at_default(body.velocity)))
-    return replace(
-        body,
-        inertia=own.tensor(body.inertia),
-        com=np.zeros(3),
-        position=world.point(body.position + _times(R_WB, body.com)),
-        rotation=_EYE,
-        velocity=_times(world.turn, body.velocity + swing, speed),
-        angular_velocity=_times(own.turn, body.angular_velocity),
-    )
-
-
-def _connector(
-    c: RigidBodySpringDamper, Q: np.ndarray, axes: dict[str, _Axes]
-) -> RigidBodySpringDamper:
-    """With its joint frames made part of the markers, where both are numbers."""
-    changes: dict[str, Any] = {}
-    for i in "01":
-        marker, joint = getattr(c, f"marker{i}"), getattr(c, f"rotation_marker{i}")
-        if not (is_symbolic(marker.rotation) or is_symbolic(joint)):
-            marker = replace(marker, rotation=_matrix(marker.rotation) @ _matrix(joint))
-            joint = _EYE
-        changes[f"marker{i}"] = axes[marker.body].marker(marker)
-        changes[f"rotation_marker{i}"] = joint
-    if c.force is not None and (Q != _EYE).any():  # it is told rotJ0 and rotJ1 in world axes
-        user = c.force
-        changes["force"] = lambda *a: user(*a[:9], Q @ a[9], Q @ a[10], *a[11:])
-    return replace(c, **changes)
-
-
-def _load(load: Load, axes: dict[str, _Axes]) -> Load:
-    own = axes[load.marker.body]
-    turn = (own if load.frame == "body" else axes[GROUND]).turn
-    force, torque = _times(turn, load.force), _times(turn, load.torque)
-    return replace(load, marker=own.marker(load.marker), force=force, torque=torque)
 
 
 # The start, in numbers: where a scene may be planar.
@@ -309,14 +169,14 @@ class _Start(NamedTuple):
         """Unit normals that the start suggests and admits, and which axis of V each is to be.
 
         It is the axis it is in the joint frames: then those turn about one axis of their own, which
-        the passes see. Left out are world axes if every body starts parallel to the world, since
-        the scene itself shows those.
+        the passes see. Left out are world axes if every body starts parallel to the world and every
+        joint turns about one of its axes, since the scene itself shows those.
         """
         frames = np.concatenate([self.joints, self.rotations])
         axes = frames.transpose(0, 2, 1)[:, ::-1].reshape(-1, 3)
         flat = (np.abs(self.in_plane() @ axes.T) <= _FLAT).all(axis=0)
-        suggested = axes[flat | (np.count_nonzero(_rotation(axes), axis=1) == 1)]
-        seen, upright = list[np.ndarray](), (self.rotations == _EYE).all()
+        suggested = axes[flat | (np.count_nonzero(snap_rotation(axes), axis=1) == 1)]
+        seen, upright = list[np.ndarray](), (self.rotations == EYE).all()
         if len(self.turning):
             suggested = self.turning[:1]
         else:
@@ -326,15 +186,16 @@ class _Start(NamedTuple):
         for n in suggested / np.linalg.norm(suggested, axis=1)[:, None]:
             near = axes[_across(axes, n) <= _THIN]
             n = near[0] if len(near) else n  # an axis is better known than a sum of points
-            n = _rotation(n / np.linalg.norm(n))
+            n = snap_rotation(n / np.linalg.norm(n))
             if not self.admits(n) or any(_across(other, n) <= _THIN for other in seen):
                 continue
             seen.append(n)
-            votes = (_across(self.joints.transpose(0, 2, 1), n) <= _THIN).sum(axis=0)
+            along = _across(self.joints.transpose(0, 2, 1), n) <= _THIN
+            votes = along.sum(axis=0)
             place = 2 - int(votes[::-1].argmax())
             if _is_axis(n) and not votes.any():
                 place = int(np.abs(n).argmax())
-            if not (upright and _is_axis(n) and n[place]):
+            if not (upright and _is_axis(n) and n[place] and along.any(axis=1).all()):
                 yield n, place
 
     def admits(self, n: np.ndarray) -> bool:
@@ -350,18 +211,18 @@ class _Start(NamedTuple):
         (g,), levers = self.pulls[0], self.points - self.points[0]
         floor = _THIN * max(float(np.linalg.norm(levers, axis=1).max()), 1e-3)
         falls = [g] if abs(g @ n) <= _FLAT * np.linalg.norm(g) else []
-        for v in (*falls, *levers, *_EYE):
+        for v in (*falls, *levers, *EYE):
             e1 = np.cross(np.cross(n, v), n)
             if np.linalg.norm(e1) > floor:
                 break
-        e1 = _snap(e1 / np.linalg.norm(e1), 1.0)
+        e1 = snap(e1 / np.linalg.norm(e1), 1.0)
         Q = np.column_stack([e1, np.cross(n, e1), n])
-        return _rotation(np.roll(Q, place - 2, axis=1))
+        return snap_rotation(np.roll(Q, place - 2, axis=1))
 
 
 def _see(scene: Scene) -> _Start:
-    R = {b.name: _rotation(_matrix(_quaternion(b.rotation))) for b in scene.bodies}
-    R[GROUND] = _EYE
+    R = {b.name: snap_rotation(matrix_at_start(quaternion_of(b.rotation))) for b in scene.bodies}
+    R[GROUND] = EYE
     p = {body.name: at_default(body.position) for body in scene.bodies} | {GROUND: np.zeros(3)}
     joints, points, speeds, inertias, turning, offsets, forces, markers = ([] for _ in range(8))
     for body in scene.bodies:
@@ -371,12 +232,16 @@ def _see(scene: Scene) -> _Start:
         turning.append(R[body.name] @ w)
         inertias.append(R[body.name] @ at_default(body.inertia) @ R[body.name].T)
     for c in (c for c in scene.connectors if c.active):
-        A = R[c.marker0.body] @ _matrix(c.marker0.rotation) @ _matrix(c.rotation_marker0)
+        A = (
+            R[c.marker0.body]
+            @ matrix_at_start(c.marker0.rotation)
+            @ matrix_at_start(c.rotation_marker0)
+        )
         joints.append(A)
         offsets += [A @ at_default(v)[:3] for v in (c.offset, c.velocity_offset)]
         markers += [c.marker0, c.marker1]
     for load in (load for load in scene.loads if load.marker.body != GROUND):
-        turn = R[load.marker.body] if load.frame == "body" else _EYE
+        turn = R[load.marker.body] if load.frame == "body" else EYE
         forces.append(turn @ at_default(load.force))
         turning.append(turn @ at_default(load.torque))
         markers += [load.marker] if is_symbolic(load.force) or load.force.any() else []

@@ -27,11 +27,13 @@ class Relative(NamedTuple):
 class Law(Protocol):
     """From the motion of two markers to strain, rate and wrenches. One file per law.
 
-    A law is a frozen dataclass: equal laws share one kernel. `soft_axes_with_trouble` names the
-    local rotation axes about which the law is no valid hinge.
+    A law is a frozen dataclass: equal laws share one kernel. `turns_with_frames` says that both
+    joint frames may be turned by one rotation, with K, D and offsets turned along;
+    `soft_axes_with_trouble` names the local rotation axes about which the law is no valid hinge.
     """
 
     needs_symmetric_stiffness: ClassVar[bool]
+    turns_with_frames: ClassVar[bool]
     soft_axes_with_trouble: ClassVar[tuple[int, ...]]
 
     def relative(self, motion0: Motion, motion1: Motion) -> Relative:

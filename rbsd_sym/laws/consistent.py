@@ -44,6 +44,7 @@ class Consistent:
     """
 
     needs_symmetric_stiffness: ClassVar[bool] = True
+    turns_with_frames: ClassVar[bool] = True
     soft_axes_with_trouble: ClassVar[tuple[int, ...]] = ()
 
     def relative(self, motion0: Motion, motion1: Motion) -> Relative:

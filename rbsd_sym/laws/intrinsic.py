@@ -34,6 +34,7 @@ class Intrinsic:
     """
 
     needs_symmetric_stiffness: ClassVar[bool] = False
+    turns_with_frames: ClassVar[bool] = True
     soft_axes_with_trouble: ClassVar[tuple[int, ...]] = ()
 
     def relative(self, motion0: Motion, motion1: Motion) -> Relative:

@@ -38,6 +38,7 @@ class Standard:
     """
 
     needs_symmetric_stiffness: ClassVar[bool] = False
+    turns_with_frames: ClassVar[bool] = False
     soft_axes_with_trouble: ClassVar[tuple[int, ...]] = (0, 1)
 
     def relative(self, motion0: Motion, motion1: Motion) -> Relative:

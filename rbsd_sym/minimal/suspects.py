@@ -1,4 +1,4 @@
-"""Suspects: states that are kept because no proof was found, though probing sees no motion."""
+"""Suspects: states that random probing sees at rest, proven or not."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ _PROBES = 6
 _ROUNDING = 1e-11  # of a rate, relative to its size where everything moves
 
 
-def suspects(full: Dae, gone: set[str]) -> tuple[str, ...]:
-    """Names of states that seem never to move, but are not among those that are gone.
+def suspects(full: Dae) -> tuple[int, ...]:
+    """Rows of the states that seem never to move.
 
     The greatest fixed point of `freeze`, with random values in place of proofs.
     """
@@ -36,5 +36,4 @@ def suspects(full: Dae, gone: set[str]) -> tuple[str, ...]:
     still = np.ones(n, bool)
     while (released := still & (sizes(still) > allowed)).any():
         still &= ~released
-    names = [full.x_labels[i].name for i in np.flatnonzero(still)]
-    return tuple(name for name in names if name not in gone)
+    return tuple(int(i) for i in np.flatnonzero(still))

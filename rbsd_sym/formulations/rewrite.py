@@ -1,0 +1,206 @@
+"""Elements of a scene written in other axes; rounding leaves no coupling that is not there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ..checks import at_default, is_symbolic
+from ..elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
+from ..symbols import Scalar, leaves_of, to_expr
+from .columns import rotation_pair
+
+ROUNDING = 16 * float(np.finfo(float).eps)  # of a few products of rotations and vectors
+EYE = np.eye(3)
+_SUMS = {ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1,), ca.OP_TWICE: (2,)}
+
+
+def matrix_at_start(rotation: np.ndarray) -> np.ndarray:
+    """A checked rotation as a matrix (3, 3), every symbol at its default."""
+    value = at_default(rotation)
+    if value.shape == (3, 3):
+        return value
+    M = left(value) * (1, -1, -1, -1)
+    return (M @ M)[1:, 1:] / (value @ value)  # b -> q b q*, of pure quaternions b
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """A rotation of numbers as a quaternion (4,), of the sign that a start has."""
+    return np.array(ca.DM(rotation_pair(rotation)[1])).reshape(4)
+
+
+def left(q: np.ndarray) -> np.ndarray:
+    """The matrix (4, 4) of the product q b of quaternions."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def snap(values: Any, scale: float, exact: tuple[float, ...] = (0.0,)) -> np.ndarray:
+    """Values within 16 epsilon of the scale of exact ones become exact."""
+    out = np.array(values, float)
+    for number in exact:
+        out[np.abs(out - number) <= ROUNDING * scale] = number
+    return out
+
+
+def snap_rotation(product: np.ndarray) -> np.ndarray:
+    """A product of rotations, with entries near -1, 0 and 1 exact."""
+    return snap(product, 1.0, (-1.0, 0.0, 1.0))
+
+
+def _terms(expr: ca.SX) -> Iterator[tuple[int, float, ca.SX]]:
+    """A scalar as a sum of (key, factor, atom); the key of the number 1 is 0."""
+    left = [(expr, 1.0)]
+    while left:
+        expr, factor = left.pop()
+        if expr.is_constant():
+            yield 0, factor * float(expr), ca.SX(1)
+            continue
+        op, parts = expr.op(), [expr.dep(i) for i in range(expr.n_dep())]
+        if op in _SUMS:
+            left += [(part, factor * w) for part, w in zip(parts, _SUMS[op], strict=True)]
+        elif op == ca.OP_MUL and parts[0].is_constant():  # CasADi writes the number first
+            left.append((parts[1], factor * float(parts[0])))
+        elif op == ca.OP_DIV and parts[1].is_constant():
+            left.append((parts[0], factor / float(parts[1])))
+        else:
+            yield expr.element_hash(), factor, expr
+
+
+def times(A: np.ndarray, v: np.ndarray, scale: float = 0.0) -> np.ndarray:
+    """A v; entries within 16 epsilon of the norm of v (plus the scale) become zero.
+
+    A vector of symbols is taken apart into numbers times symbols, and each symbol's numbers are
+    treated alike, so that multiples of one Param that cancel leave nothing.
+
+    Arguments:
+        A: numbers (m, n).
+        v: numbers or symbols (n,).
+        scale: size of the numbers of which v is a difference.
+    """
+    if not is_symbolic(v):
+        return snap(A @ v, float(np.linalg.norm(v)) + scale)
+    numbers: dict[int, np.ndarray] = {}
+    atoms: dict[int, ca.SX] = {}
+    for i, expr in enumerate(ca.vertsplit(ca.cse(to_expr(v)))):
+        for key, factor, atom in _terms(expr):
+            atoms[key] = atom
+            numbers.setdefault(key, np.zeros(len(v)))[i] += factor
+    rows = [ca.SX(0)] * len(A)
+    for key, column in numbers.items():
+        product = snap(A @ column, float(np.linalg.norm(column)) + (0.0 if key else scale))
+        rows = [row + float(c) * atoms[key] for row, c in zip(rows, product, strict=True)]
+    out: np.ndarray = np.empty(len(A), dtype=object)
+    out[:] = [float(row) if row.is_constant() else Scalar(row, leaves_of(v)) for row in rows]
+    return out
+
+
+class Axes(NamedTuple):
+    """New axes N of a body (or of the world, V) against its own, B."""
+
+    turn: np.ndarray  # R_NB
+    q_NB: np.ndarray
+    origin: np.ndarray  # of N, in B
+    scale: float  # size of the coordinates
+    level: np.ndarray  # coordinates in N that near ones are set to
+
+    def point(self, p: np.ndarray) -> np.ndarray:
+        """A point given in B (m), in N."""
+        out = times(self.turn, p - self.origin, self.scale)
+        for i, value in enumerate(self.level):
+            if not isinstance(out[i], Scalar) and abs(out[i] - value) <= ROUNDING * self.scale:
+                out[i] = value
+        return out
+
+    def tensor(self, T: np.ndarray) -> np.ndarray:
+        """A symmetric tensor (3, 3) given in B, in N."""
+        out = times(np.kron(self.turn, self.turn), T.reshape(9)).reshape(3, 3)
+        for i, j in ((1, 0), (2, 0), (2, 1)):
+            out[i, j] = out[j, i]
+        return out
+
+    def marker(self, m: Marker) -> Marker:
+        """A marker on B, as one on N."""
+        R = m.rotation
+        if not is_symbolic(R):
+            R = snap_rotation(self.turn @ matrix_at_start(R))
+        elif R.shape == (3, 3):
+            R = times(np.kron(self.turn, EYE), R.reshape(9)).reshape(3, 3)
+        else:
+            R = times(left(self.q_NB), R)
+        return replace(m, position=self.point(m.position), rotation=R)
+
+
+def body_in(body: RigidBody, axes: dict[str, Axes]) -> RigidBody:
+    """The body with axes N, its origin at the centre of mass."""
+    own, world, R_WB = axes[body.name], axes[GROUND], matrix_at_start(body.rotation)
+    swing = times(R_WB, np.cross(body.angular_velocity, body.com))
+    speed = float(np.linalg.norm(at_default(body.velocity)))
+    return replace(
+        body,
+        inertia=own.tensor(body.inertia),
+        com=np.zeros(3),
+        position=world.point(body.position + times(R_WB, body.com)),
+        rotation=EYE,
+        velocity=times(world.turn, body.velocity + swing, speed),
+        angular_velocity=times(own.turn, body.angular_velocity),
+    )
+
+
+def connector_in(
+    c: RigidBodySpringDamper, Q: np.ndarray, axes: dict[str, Axes]
+) -> RigidBodySpringDamper:
+    """The connector, its joint frames made part of the markers where both are numbers.
+
+    Joint frames oblique to all axes of N are turned to be parallel, with K, D and offsets, where
+    the law allows it.
+    """
+    frames = [
+        (getattr(c, f"marker{i}"), getattr(c, f"rotation_marker{i}")) for i in "01"
+    ]  # fmt: skip
+    if not any(is_symbolic(m.rotation) or is_symbolic(joint) for m, joint in frames):
+        frames = [
+            (replace(m, rotation=matrix_at_start(m.rotation) @ matrix_at_start(joint)), EYE)
+            for m, joint in frames
+        ]
+    (marker0, joint0), (marker1, joint1) = ((axes[m.body].marker(m), joint) for m, joint in frames)
+    changes: dict[str, Any] = {}
+    plain = joint0 is EYE and joint1 is EYE and c.force is None and c.law.turns_with_frames
+    if plain and not (np.abs(marker0.rotation) == 1).any():
+        P = marker0.rotation.T
+        marker0 = replace(marker0, rotation=EYE)
+        marker1 = replace(marker1, rotation=snap_rotation(marker1.rotation @ P))
+        changes = _turned(c, P.T)
+    if c.force is not None and (Q != EYE).any():  # it is told rotJ0 and rotJ1 in world axes
+        user = c.force
+        changes["force"] = lambda *a: user(*a[:9], Q @ a[9], Q @ a[10], *a[11:])
+    return replace(
+        c, marker0=marker0, rotation_marker0=joint0, marker1=marker1, rotation_marker1=joint1,
+        **changes,
+    )  # fmt: skip
+
+
+def _turned(c: RigidBodySpringDamper, R: np.ndarray) -> dict[str, np.ndarray]:
+    """K, D and offsets for joint frames A R': components u become R u."""
+    both = np.kron(np.eye(2), R)
+    changes = {
+        name: times(np.kron(both, both), getattr(c, name).reshape(36)).reshape(6, 6)
+        for name in ("stiffness", "damping")
+    }
+    if c.law.needs_symmetric_stiffness:
+        K = changes["stiffness"]
+        changes["stiffness"] = np.where(np.tri(6, k=-1, dtype=bool), K.T, K)
+    offsets = {name: times(both, getattr(c, name)) for name in ("offset", "velocity_offset")}
+    return changes | offsets
+
+
+def load_in(load: Load, axes: dict[str, Axes]) -> Load:
+    """The load in the axes of its marker, force and torque turned along."""
+    own = axes[load.marker.body]
+    turn = (own if load.frame == "body" else axes[GROUND]).turn
+    force, torque = times(turn, load.force), times(turn, load.torque)
+    return replace(load, marker=own.marker(load.marker), force=force, torque=torque)

@@ -1,0 +1,115 @@
+"""The smallest model of a scene, also where its plane of motion is no coordinate plane."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from .dae import Dae, Expansion, Label, Part
+from .formulations import ModelWarning
+from .formulations.layout import Layout
+from .formulations.plane import Plane, planes
+from .minimal import core, finish
+from .reduction import Reduction
+from .scene import Scene
+
+
+class Formulation(Protocol):
+    """A choice of coordinates: writes a scene as a `Dae`, and is the coordinates of its layout."""
+
+    def write(self, scene: Scene) -> Dae:
+        """The scene as a `Dae`."""
+        ...
+
+
+def smallest(scene: Scene, formulation: Any) -> tuple[Dae, Reduction]:
+    """The reduced model; written in the axes of a plane of motion where that makes it smaller."""
+    full = formulation.write(scene)
+    small = core(full)
+    best = (full, small, small, 0)
+    if _turns_freely(scene, formulation, small):
+        for plane in planes(scene):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ModelWarning)  # of this scene they are out
+                other = formulation.write(plane.scene)
+            flat = core(other)
+            if _size(flat) < _size(best[1]):
+                layout = Layout(plane.scene, formulation)
+                best = (other, flat, _in_scene(full, flat, plane, layout), full.x.numel())
+    return finish(*best)
+
+
+def _size(dae: Dae) -> int:
+    return int(dae.x.numel() + dae.z.numel())
+
+
+def _turns_freely(scene: Scene, formulation: Any, small: Dae) -> bool:
+    """Whether a body has kept more than one coordinate of its rotation."""
+    layout, way = Layout(scene, formulation), small.expansion
+    if way is None:
+        return False
+    moving = ca.vertcat(small.x, small.z)
+    states = ca.vertsplit(way.states)
+    for i in range(len(scene.bodies)):
+        rows = layout.rows(i)[3:-6]
+        live = [row for row in rows if states[row].is_symbolic()]
+        if len(live) > 1 and ca.depends_on(way.states[live], moving):
+            return True
+    return False
+
+
+def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
+    """The model in the axes of a plane, with the states of the original scene before its own."""
+    way, n = flat.expansion, full.x.numel()
+    if way is None:
+        raise ValueError(f"model '{full.name}': not reduced")
+    names = _names(plane, layout, way)
+    labels = {label.name: Label(names[i], label.unit, label.start)
+              for i, label in enumerate(way.labels)}  # fmt: skip
+    measured = flat.measured if way.followers else flat.states
+    states = ca.vertcat(plane.way_back(layout, measured[: layout.size * len(plane.turned)]),
+                        way.states)  # fmt: skip
+    x, z = (ca.vertcat(ca.SX(0, 1), *(ca.SX.sym(labels[label.name].name) for label in own))
+            for own in (flat.x_labels, flat.z_labels))  # fmt: skip
+    states = ca.substitute(states, ca.vertcat(flat.x, flat.z), ca.vertcat(x, z))
+    nothing: tuple[int | None, ...] = (None,) * n
+    normal = ", ".join(f"{v:.6g}" for v in plane.normal)
+    return replace(
+        full,
+        x=x, z=z, x_start=flat.x_start, z_start=flat.z_start,
+        x_labels=tuple(labels[label.name] for label in flat.x_labels),
+        z_labels=tuple(replace(labels[label.name], start=label.start) for label in flat.z_labels),
+        parts=tuple(_shifted(part, n) for part in flat.parts),
+        balances=(), turns=(),
+        notes=(*flat.notes, f"the motion is planar, with normal ({normal})"),
+        expansion=Expansion(
+            states, (*full.x_labels, *(labels[label.name] for label in way.labels)),
+            (*nothing, *way.rows), (*nothing, *way.alg_rows),
+        ),
+        source=f"minimal\n{full.source}",
+    )  # fmt: skip
+
+
+def _shifted(part: Part, n: int) -> Part:
+    return replace(
+        part,
+        reads=tuple(row + n for row in part.reads),
+        ode_rows=tuple(row + n for row in part.ode_rows),
+    )
+
+
+def _names(plane: Plane, layout: Layout, way: Expansion) -> list[str]:
+    """Names of the states in the plane; those that mean what they do in the scene keep theirs."""
+    names = [label.name for label in way.labels]
+    for i, turned in enumerate(plane.turned):
+        rows, same = layout.rows(i), bool((turned == np.eye(3)).all())
+        renamed = [] if plane.keeps_world else [*rows[:3], *rows[-6:-3]]
+        renamed += [] if plane.keeps_world and same else [*rows[3:-6], *rows[-3:]]
+        for row in renamed:
+            body, _, name = names[row].partition(".")
+            names[row] = f"{body}.plane_{name}"
+    return names
