@@ -227,3 +227,13 @@ def test_specimens_are_what_is_generated(
         old, new = (stored / file).read_text(), (tmp_path / name / file).read_text()
         difference = difflib.unified_diff(old.splitlines(), new.splitlines(), "stored", "generated")
         assert old == new, "\n".join(list(difference)[:40]) + "\nrewrite with --update-golden"
+
+
+def test_scenes_that_move_differently_have_different_digests() -> None:
+    def pushed(size: float) -> str:
+        body = rs.RigidBody("b", 1, (1, 1, 1))
+        load = rs.Load("push", rs.Marker("b"), force=(size, 0, 0))
+        return rs.Scene("s", [body], [], [load]).digest
+
+    assert pushed(1.0) != pushed(2.0)
+    assert pushed(1.0) == pushed(1.0)

@@ -331,7 +331,7 @@ def test_tait_bryan_body_through_the_pole(integrator: Any) -> None:
     """
     body = rs.RigidBody("b", 1, [1, 1, 1], rotation=POLE @ rotations.exp_so3(-TURN),
                         angular_velocity=TURN)  # fmt: skip
-    model = rs.compile_scene(rs.Scene("pole", [body], []), formulation=rs.TaitBryan())
+    model = rs.compile_scene(rs.Scene("pole", [body], []), rs.TaitBryan(), minimal=False)
     trajectory = rs.simulate(model, GRID, integrator, throw=False)
     expected = np.array([POLE @ rotations.exp_so3((t - 1) * TURN) for t in trajectory.t])
     assert np.abs(trajectory["b.rotation_matrix"] - expected).max() < 1e-6
@@ -346,7 +346,7 @@ def test_tait_bryan_body_through_the_pole(integrator: Any) -> None:
 def test_tait_bryan_body_at_the_pole(integrator: Any) -> None:
     """Started at the singularity nothing can be done but say so, at the start."""
     body = rs.RigidBody("b", 1, [1, 1, 1], angular_velocity=TURN)
-    model = rs.compile_scene(rs.Scene("pole", [body], []), formulation=rs.TaitBryan())
+    model = rs.compile_scene(rs.Scene("pole", [body], []), rs.TaitBryan(), minimal=False)
     trajectory = rs.simulate(model, GRID, integrator, start={"b.a_y": np.pi / 2}, throw=False)
     assert trajectory.outcome in (rs.Outcome.step_too_small, rs.Outcome.solver_failed)
     assert list(trajectory.t) == [0.0]
