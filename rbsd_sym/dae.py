@@ -311,7 +311,7 @@ class Dae:
         return value, bool(newton.stats()["success"]) and bool(np.isfinite(value).all())
 
     def verify(self) -> None:
-        """Check sizes, labels, rows and free symbols.
+        """Check sizes, labels and rows.
 
         Raises:
             ValueError: what is inconsistent, and where.
@@ -328,6 +328,13 @@ class Dae:
             self._verify_part(part)
         for name in self.requested:
             self._check_output(name)
+
+    def verify_symbols(self) -> None:
+        """Check that nothing but t, x, z, u, p is in the flat expressions.
+
+        Raises:
+            ValueError: the symbols that are.
+        """
         known = ca.vertcat(self.t, self.x, self.z, self.u, self.p)
         free = ca.Function("verify", [known], [self.ode, self.alg], {"allow_free": True}).free_sx()
         if free:

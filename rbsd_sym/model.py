@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from .assembly import Assembly
 from .dae import Dae, Label, table
 from .reduction import Dropped, Reduction, Replaced
 from .spectra import growth_exponent, growth_rates
@@ -19,6 +20,8 @@ from .version import VERSION
 _EIGENVALUE_WORK = 2e7  # cube of the block's size times the number of points: about 0.1 s
 _PROPAGATED = 60  # states left out, up to which their propagator is affordable
 _POINTS = 400  # for it
+_FEW_PARTS = 20
+_MANY_OPERATIONS = 10_000  # of ode; beyond it flat code costs more to build than it gains
 _JACOBIAN = re.compile(r"d(ode|alg|out)_d([xzup])")
 
 
@@ -41,10 +44,15 @@ class Model:
 
     Names: `ode`, `alg`, `out`, any output such as "joint.force_local", and d<f>_d<v> for f in ode,
     alg, out and v in x, z, u, p: the exact, sparse Jacobians.
+
+    Arguments:
+        kernels: functions call one kernel for each kind of part, mapped over its instances;
+            otherwise they are flat. The numbers are the same.
     """
 
     dae: Dae
     reduction: Reduction | None = None
+    kernels: bool = False
     memo: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @property
@@ -124,6 +132,9 @@ class Model:
 
     def function(self, name: str) -> ca.Function:
         """The CasADi Function (t, x, z, u, p) of that name, built at the first call."""
+        mapped = name in ("ode", "alg", "out") or _JACOBIAN.fullmatch(name)
+        if self.kernels and mapped and name not in self.memo:
+            self.memo[name] = self.assembly.function(name)
         if name not in self.memo:
             safe, expression = name.replace(".", "_"), self.expression(name)
             defaults = [label.start for label in self.dae.idle_p_labels]
@@ -131,6 +142,13 @@ class Model:
                 expression = ca.substitute(expression, self.dae.idle_p, ca.DM(defaults))
             self.memo[name] = ca.Function(safe, self.symbols, [expression], list("txzup"), [safe])
         return self.memo[name]
+
+    @property
+    def assembly(self) -> Assembly:
+        """The model as groups of kernels."""
+        if "assembly" not in self.memo:
+            self.memo["assembly"] = Assembly(self.dae)
+        return self.memo["assembly"]
 
     def _over_all_parameters(self, name: str) -> ca.Function:
         """The function of that name with the parameters without effect on the model after p."""
@@ -141,6 +159,21 @@ class Model:
             arguments = [*self.symbols[:4], ca.vertcat(self.dae.p, self.dae.idle_p)]
             self.memo[key] = ca.Function("measure", arguments, [self.expression(name)])
         return self.memo[key]
+
+    def hessian(self) -> ca.Function:
+        """Second derivatives of l' [ode; alg] by w = [x; z; u; p].
+
+        Function (t, x, z, u, p, l) -> sparse symmetric (n_w, n_w).
+        """
+        return self._directional("hessian", self.n_x + self.n_z)
+
+    def forward(self) -> ca.Function:
+        """Derivative of [ode; alg] along a direction v of w: Function (t, x, z, u, p, v)."""
+        return self._directional("forward", sum((self.n_x, self.n_z, self.n_u, self.n_p)))
+
+    def adjoint(self) -> ca.Function:
+        """Gradient of l' [ode; alg] by w: Function (t, x, z, u, p, l) -> (n_w, 1)."""
+        return self._directional("adjoint", self.n_x + self.n_z)
 
     def hessian_product(self, name: str) -> ca.Function:
         """Second derivatives of l'f times a direction, f = ode, alg or out.
@@ -160,6 +193,15 @@ class Model:
                 [*"txzup", "l", "v"], ["product"],
             )  # fmt: skip
         return self.memo[key]
+
+    def _directional(self, kind: str, size: int) -> ca.Function:
+        if kind not in self.memo:
+            given = ca.MX.sym("given", size)
+            result = getattr(self.assembly, kind)(given)
+            self.memo[kind] = ca.Function(
+                kind, [*self.assembly.symbols, given], [result], [*"txzup", "given"], [kind]
+            )
+        return self.memo[kind]
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -234,7 +276,9 @@ class Model:
         return np.array(rows).reshape(len(labels), len(trajectory.t))
 
     def operations(self, name: str) -> int:
-        """Number of scalar instructions of a function."""
+        """Number of scalar instructions of a function (with kernels, of ode only)."""
+        if self.kernels and name == "ode":
+            return self.assembly.operations
         return int(self.function(name).n_instructions())
 
     def __str__(self) -> str:
@@ -261,7 +305,16 @@ class Model:
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
 
 
-def derive(dae: Dae, reduction: Reduction | None = None) -> Model:
-    """A `Model` of a verified `Dae`, and of what was left out of it."""
+def derive(dae: Dae, reduction: Reduction | None = None, kernels: bool | None = None) -> Model:
+    """A `Model` of a verified `Dae`, and of what was left out of it.
+
+    Arguments:
+        kernels: the layout of its functions; by default flat for small models.
+    """
     dae.verify()
-    return Model(dae, reduction)
+    if kernels or (kernels is None and len(dae.parts) >= _FEW_PARTS):
+        model = Model(dae, reduction, True)
+        if kernels or model.assembly.operations > _MANY_OPERATIONS:
+            return model
+    dae.verify_symbols()
+    return Model(dae, reduction, False)

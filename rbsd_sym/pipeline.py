@@ -46,8 +46,14 @@ class IntegrationError(RuntimeError):
         self.trajectory = trajectory
 
 
+_LAYOUTS = {"auto": None, "flat": False, "kernels": True}
+
+
 def compile_scene(
-    scene: Scene, formulation: Formulation | None = None, minimal: bool = True
+    scene: Scene,
+    formulation: Formulation | None = None,
+    minimal: bool = True,
+    layout: str = "auto",
 ) -> Model:
     """The model of a scene.
 
@@ -55,14 +61,18 @@ def compile_scene(
         formulation: coordinates, `Quaternion()` by default.
         minimal: leave out the states that provably never move, and give a body that turns about
             one axis one angle (`minimal`). Trajectories and outputs keep their full meaning.
+        layout: "flat" writes every function out, "kernels" maps one kernel for each kind of part
+            over its instances, "auto" takes the latter for large models. The numbers are the same.
 
     Raises:
-        ValueError: the scene cannot be written in these coordinates.
+        ValueError: the scene cannot be written in these coordinates; no such layout.
     """
+    if layout not in _LAYOUTS:
+        raise ValueError(f"compile_scene: layout {layout!r}; there are {', '.join(_LAYOUTS)}")
     chosen = formulation or Quaternion()
     if not minimal:
-        return derive(balance(chosen.write(scene)))
-    return derive(*smallest(scene, chosen))
+        return derive(balance(chosen.write(scene)), None, _LAYOUTS[layout])
+    return derive(*smallest(scene, chosen), _LAYOUTS[layout])
 
 
 def simulate(

@@ -18,8 +18,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = (
     {"zeros", "version", "spectra", "reduction"},
     {"rotation", "dae", "trajectory", "symbols"},
-    {"mechanics", "checks"},
-    {"laws", "sensors", "user_force"},
+    {"mechanics", "checks", "kernels"},
+    {"laws", "sensors", "user_force", "assembly"},
     {"elements"},
     {"scene"},
     {"formulations"},

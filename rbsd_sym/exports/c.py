@@ -50,15 +50,20 @@ def export_c(
 
 def _default(model: Model) -> list[str]:
     return [name for name in (*_ALWAYS, *_JACOBIANS)
-            if name == "ode" or model.expression(name).nnz()]  # fmt: skip
+            if name == "ode" or model.function(name).nnz_out(0)]  # fmt: skip
 
 
 def _exported(model: Model, name: str) -> Exported:
-    result = model.expression(name)
-    sparse = result.size2() > 1 or name in _JACOBIANS or name.startswith("dout_d")
+    function = model.function(name)
+    sparse = function.size2_out(0) > 1 or name in _JACOBIANS or name.startswith("dout_d")
     symbol = names.kernel(model.name, name)
+    if model.kernels:
+        arguments = [ca.MX.sym(kind, function.sparsity_in(i)) for i, kind in enumerate("txzup")]
+        result = function(*arguments)
+    else:
+        arguments, result = model.symbols, function(*model.symbols)
     expression = result if sparse else ca.densify(result)
-    kernel = ca.Function(symbol, model.symbols, [expression], list("txzup"), [names.c_name(name)])
+    kernel = ca.Function(symbol, arguments, [expression], list("txzup"), [names.c_name(name)])
     return Exported(name, kernel, sparse)
 
 

@@ -99,7 +99,8 @@ def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str,
     traced = [symbolic(signal, dae.t) for signal in inputs]
     constant = [dae.u[i] for i, s in enumerate(inputs) if is_constant(s)]
     p = ca.vertcat(dae.p, *constant)
-    if all(expr is not None or is_constant(s) for s, expr in zip(inputs, traced, strict=True)):
+    all_traced = all(e is not None or is_constant(s) for s, e in zip(inputs, traced, strict=True))
+    if all_traced and not model.kernels:
         u = ca.vertcat(ca.SX(0, 1), *(
             dae.u[i] if expr is None else expr for i, expr in enumerate(traced)))  # fmt: skip
         ode, alg = ca.substitute([dae.ode, dae.alg], [dae.u], [u])
@@ -107,10 +108,12 @@ def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str,
     t, x, z = ca.MX.sym("t"), ca.MX.sym("x", model.n_x), ca.MX.sym("z", model.n_z)
     q = ca.MX.sym("p", p.numel())
     entries, place = [], model.n_p
-    for signal in inputs:
+    for signal, expr in zip(inputs, traced, strict=True):
         if is_constant(signal):
             entries.append(q[place])
             place += 1
+        elif expr is not None:
+            entries.append(ca.Function("input", [dae.t], [expr])(t))
         else:
             entries.append(evaluate(signal, t, kept))
     u = ca.vertcat(*entries)

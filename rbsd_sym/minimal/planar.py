@@ -24,6 +24,7 @@ def planar(dae: Dae) -> Dae:
     x, start = list(ca.vertsplit(dae.x)), list(ca.vertsplit(dae.x_start))
     labels, full_labels = list(dae.x_labels), list(expansion.labels)
     parts, gone, balances = list(dae.parts), set(), list(dae.balances)
+    pass_on = _pass_on(dae)
     for turn in dae.turns:
         axis = _axis(rows, states, turn)
         w_row, v_row = turn.quaternion[0], turn.quaternion[(axis or 0) + 1]
@@ -36,9 +37,7 @@ def planar(dae: Dae) -> Dae:
         labels[w] = Label(name, "rad", 2 * math.atan2(labels[v].start, labels[w].start))
         states[w_row], states[v_row] = ca.cos(x[w] / 2), ca.sin(x[w] / 2)
         rows[w_row] = rows[v_row] = None
-        parts.append(
-            Part(name, _pass_on(dae), (turn.velocity[axis],), (), ca.SX(0, 1), (len(states),))
-        )
+        parts.append(Part(name, pass_on, (turn.velocity[axis],), (), ca.SX(0, 1), (len(states),)))
         balances = [_about_one_axis(b, turn, axis, len(states)) for b in balances]
         states.append(x[w])
         rows.append(w)

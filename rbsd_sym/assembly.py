@@ -1,0 +1,233 @@
+"""Functions of a model from mapped kernels: gather, map, scatter; derivatives likewise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+
+from .dae import Dae
+from .kernels import Group, groups, output_groups
+
+
+@dataclass(frozen=True, eq=False)
+class _Term:
+    """What one group gives to a result: mapped values (m, N), and their places, -1 for none."""
+
+    values: ca.MX
+    places: np.ndarray
+
+
+def scatter_add(terms: Sequence[_Term], size: int) -> ca.MX:
+    """Column (size, 1) of the sums of all values at each place.
+
+    One layer adds the first value of every place, the next the second of those that have two, and
+    so on: work in proportion to the number of values.
+    """
+    if not terms or not size:
+        return ca.MX(ca.DM.zeros(size, 1))
+    stack = ca.vertcat(*(ca.vec(term.values) for term in terms))
+    places = np.concatenate([term.places.T.reshape(-1) for term in terms])
+    sources = np.flatnonzero(places >= 0)
+    order = sources[np.argsort(places[sources], kind="stable")]
+    _, first, counts = np.unique(places[order], return_index=True, return_counts=True)
+    if not len(counts):
+        return ca.MX(ca.DM.zeros(size, 1))
+    by_count = np.argsort(-counts, kind="stable")
+    total = ca.MX(0, 1)
+    for layer in range(int(counts.max()) - 1, -1, -1):
+        wide = by_count[: int((counts > layer).sum())]
+        values = stack.nz[order[first[wide] + layer].tolist()]
+        if total.numel() == 0:
+            total = values
+        elif total.numel() == values.numel():
+            total = total + values
+        else:
+            n = total.numel()
+            total = ca.vertcat(total + values[:n], values[n:])
+    there = places[order][first][by_count]
+    if len(there) == size and (there == np.arange(size)).all():
+        return total
+    index = np.full(size, len(there))
+    index[there] = np.arange(len(there))
+    return (
+        ca.vertcat(total, 0).nz[index.tolist()] if len(there) < size else total.nz[index.tolist()]
+    )
+
+
+class Assembly:
+    """The functions of a `Dae` from its groups; all take (t, x, z, u, p).
+
+    Vectors are stacked as w = [x; z; u; p] and f = [ode; alg].
+    """
+
+    def __init__(self, dae: Dae) -> None:
+        self.dae = dae
+        self.groups = groups(dae)
+        sizes = {kind: int(getattr(dae, kind).numel()) for kind in "xzup"}
+        self.symbols = [ca.MX.sym("t"), *(ca.MX.sym(kind, n) for kind, n in sizes.items())]
+        self.w = ca.vertcat(*self.symbols[1:])
+        starts = np.cumsum([0, *sizes.values()])
+        self.inputs = {k: range(a, b) for k, (a, b) in zip("xzup", pairwise(starts), strict=True)}
+        n, m = sizes["x"], sizes["z"]
+        self.outputs = {"ode": range(n), "alg": range(n, n + m)}
+
+    @cached_property
+    def _output_groups(self) -> list[Group]:
+        found = output_groups(self.dae)
+        last = max((int(group.writes.max()) for group in found), default=-1)
+        self.outputs["out"] = range(max(last + 1, len(self.dae.out_labels)))
+        return found
+
+    def _groups_of(self, name: str) -> list[Group]:
+        return self._output_groups if name == "out" else self.groups
+
+    @property
+    def operations(self) -> int:
+        """Scalar instructions of one evaluation of ode and alg."""
+        return sum(g.kernel.n_instructions() * g.reads.shape[1] for g in self.groups)
+
+    def function(self, name: str) -> ca.Function:
+        """Ode, alg, out or a derivative d<f>_d<v>, as a CasADi Function."""
+        if name in ("ode", "alg"):
+            return self._with_jacobian(name)
+        expression = self.value(name) if name == "out" else self.jacobian(*name[1:].split("_d"))
+        return ca.Function(name, self.symbols, [expression], list("txzup"), [name])
+
+    def _with_jacobian(self, name: str) -> ca.Function:
+        """Ode or alg as a Function that knows its exact sparse Jacobian."""
+        value, options = self.value(name), {}
+        blocks = [self.by_time(name), *(self.jacobian(name, kind) for kind in "xzup")]
+        given = ca.MX.sym("given", value.numel())
+        jacobian = ca.Function(
+            f"jac_{name}", [*self.symbols, given], blocks, [*"txzup", f"out_{name}"],
+            [f"jac_{name}_{kind}" for kind in "txzup"],
+        )  # fmt: skip
+        options = {"custom_jacobian": jacobian, "jac_penalty": 0}
+        return ca.Function(name, self.symbols, [value], list("txzup"), [name], options)
+
+    def value(self, name: str) -> ca.MX:
+        """Ode, alg or out."""
+        here = self._groups_of(name)
+        rows = self.outputs[name]
+        terms = [
+            _Term(self._mapped(group, group.kernel), _within(group.writes, rows))
+            for group in here
+            if (_within(group.writes, rows) >= 0).any()
+        ]
+        return scatter_add(terms, len(rows))
+
+    def jacobian(self, name: str, by: str) -> ca.MX:
+        """Sparse derivative of ode, alg or out by x, z, u, p."""
+        here = self._groups_of(name)
+        rows, columns = self.outputs[name], self.inputs[by]
+        tangents = [self._tangents(group, rows, columns) for group in here]
+        found = [term for term in tangents if term is not None]
+        return _matrix(found, len(rows), len(columns))
+
+    def by_time(self, name: str) -> ca.MX:
+        """Explicit derivative of ode or alg by the time, a dense column."""
+        rows, terms = self.outputs[name], []
+        for group in self.groups:
+            t, w, c = group.kernel.sx_in()
+            rate = ca.densify(ca.jacobian(group.kernel(t, w, c), t))
+            if not rate.is_zero():
+                terms.append(_Term(
+                    self._mapped(group, ca.Function("by_time", [t, w, c], [rate])),
+                    _within(group.writes, rows),
+                ))  # fmt: skip
+        return scatter_add(terms, len(rows))
+
+    def hessian(self, multiplier: ca.MX) -> ca.MX:
+        """Second derivatives of multiplier' [ode; alg] by w, sparse and symmetric (n_w, n_w)."""
+        found = []
+        for group in self.groups:
+            t, w, c = group.kernel.sx_in()
+            scale = ca.SX.sym("l", group.kernel.size1_out(0))
+            second, _ = ca.hessian(ca.dot(scale, group.kernel(t, w, c)), w)
+            i, j = (np.array(index, int) for index in second.sparsity().get_triplet())
+            if not len(i):
+                continue
+            function = ca.Function("second", [t, w, c, scale], [second.nz[:]])
+            values = self._mapped(group, function, _gather(multiplier, group.writes))
+            found.append((values, group.reads[i], group.reads[j]))
+        n = self.w.numel()
+        return _matrix(found, n, n)
+
+    def forward(self, direction: ca.MX) -> ca.MX:
+        """Derivative of [ode; alg] along a direction of w, a column."""
+        terms = []
+        for group in self.groups:
+            t, w, c = group.kernel.sx_in()
+            seed = ca.SX.sym("v", w.numel())
+            rate = ca.densify(ca.jtimes(group.kernel(t, w, c), w, seed))
+            function = ca.Function("forward", [t, w, c, seed], [rate])
+            values = self._mapped(group, function, _gather(direction, group.reads))
+            terms.append(_Term(values, group.writes))
+        return scatter_add(terms, sum(map(len, self.outputs.values())))
+
+    def adjoint(self, multiplier: ca.MX) -> ca.MX:
+        """Gradient of multiplier' [ode; alg] by w, a column."""
+        terms = []
+        for group in self.groups:
+            t, w, c = group.kernel.sx_in()
+            scale = ca.SX.sym("l", group.kernel.size1_out(0))
+            rate = ca.densify(ca.jtimes(group.kernel(t, w, c), w, scale, True))
+            function = ca.Function("adjoint", [t, w, c, scale], [rate])
+            values = self._mapped(group, function, _gather(multiplier, group.writes))
+            terms.append(_Term(values, group.reads))
+        return scatter_add(terms, int(self.w.numel()))
+
+    def _tangents(
+        self, group: Group, rows: range, columns: range
+    ) -> tuple[ca.MX, np.ndarray, np.ndarray] | None:
+        """Mapped nonzeros of a kernel's Jacobian, and their rows and columns in the block."""
+        t, w, c = group.kernel.sx_in()
+        jacobian = ca.jacobian(group.kernel(t, w, c), w)
+        i, j = (np.array(index, int) for index in jacobian.sparsity().get_triplet())
+        at = _within(group.writes, rows)[i], _within(group.reads, columns)[j]
+        inside = ((at[0] >= 0) & (at[1] >= 0)).any(axis=1)
+        if not inside.any():
+            return None
+        kept = ca.cse(jacobian.nz[np.flatnonzero(inside).tolist()])
+        values = self._mapped(group, ca.Function("tangents", [t, w, c], [kept]))
+        return values, at[0][inside], at[1][inside]
+
+    def _mapped(self, group: Group, function: ca.Function, *more: ca.MX) -> ca.MX:
+        """The function (t, w, c, ...) of all instances, a column each."""
+        n = group.reads.shape[1]
+        arguments = [self.symbols[0], _gather(self.w, group.reads), ca.MX(ca.DM(group.constants))]
+        if n == 1:
+            return function(*arguments, *more)
+        mapped = function.map(f"{function.name()}_{n}", "serial", n, [0], [])
+        return mapped(*arguments, *more)
+
+
+def _within(rows: np.ndarray, part: range) -> np.ndarray:
+    """Rows counted from the start of a part, -1 for those outside."""
+    return np.where((rows >= part.start) & (rows < part.stop), rows - part.start, -1)
+
+
+def _gather(column: ca.MX, rows: np.ndarray) -> ca.MX:
+    """Entries of a dense column, instance by instance (n, N)."""
+    return ca.reshape(column.nz[rows.T.reshape(-1).tolist()], *rows.shape)
+
+
+def _matrix(
+    found: Sequence[tuple[ca.MX, np.ndarray, np.ndarray]], n_rows: int, n_columns: int
+) -> ca.MX:
+    """Sparse sum of values (m, N) at rows and columns; negative ones lie outside."""
+    codes = [np.where((i >= 0) & (j >= 0), j * n_rows + i, -1) for _, i, j in found]
+    every = np.concatenate([np.zeros(0, int), *(code.reshape(-1) for code in codes)])
+    used = np.unique(every[every >= 0])
+    terms = [
+        _Term(values, np.where(code >= 0, np.searchsorted(used, code), -1))
+        for (values, _, _), code in zip(found, codes, strict=True)
+    ]
+    columns = np.searchsorted(used // max(n_rows, 1), np.arange(n_columns + 1))
+    pattern = ca.Sparsity(n_rows, n_columns, columns.tolist(), (used % max(n_rows, 1)).tolist())
+    return ca.MX(pattern, scatter_add(terms, len(used))) if len(used) else ca.MX(n_rows, n_columns)
