@@ -23,40 +23,44 @@ class _Term:
 
 
 def scatter_add(terms: Sequence[_Term], size: int) -> ca.MX:
-    """Column (size, 1) of the sums of all values at each place.
-
-    One layer adds the first value of every place, the next the second of those that have two, and
-    so on: work in proportion to the number of values.
-    """
+    """Column (size, 1) of the sums of all values at each place: linear in their number."""
     if not terms or not size:
         return ca.MX(ca.DM.zeros(size, 1))
-    stack = ca.vertcat(*(ca.vec(term.values) for term in terms))
+    stack = ca.vertcat(*(ca.vec(term.values) for term in terms), 0)
     places = np.concatenate([term.places.T.reshape(-1) for term in terms])
     sources = np.flatnonzero(places >= 0)
     order = sources[np.argsort(places[sources], kind="stable")]
-    _, first, counts = np.unique(places[order], return_index=True, return_counts=True)
-    if not len(counts):
-        return ca.MX(ca.DM.zeros(size, 1))
-    by_count = np.argsort(-counts, kind="stable")
+    there, first, counts = np.unique(places[order], return_index=True, return_counts=True)
+    index = np.full(size, len(places))  # the zero at the end
+    index[there] = order[first]
+    total = stack.nz[index.tolist()]
+    if counts.max(initial=0) > 1:
+        again = counts > 1
+        by_count = np.argsort(-counts[again], kind="stable")
+        more = _layers(stack, order, first[again][by_count] + 1, counts[again][by_count] - 1)
+        rows = there[again][by_count].tolist()
+        total.nz[rows] = total.nz[rows] + more
+    return total
+
+
+def _layers(stack: ca.MX, order: np.ndarray, first: np.ndarray, counts: np.ndarray) -> ca.MX:
+    """Sums of counts[i] values each, from order[first[i]] on; counts fall with i.
+
+    One layer adds the first value of every sum, the next the second of those that have two, and so
+    on, the last and shortest first.
+    """
     total = ca.MX(0, 1)
     for layer in range(int(counts.max()) - 1, -1, -1):
-        wide = by_count[: int((counts > layer).sum())]
-        values = stack.nz[order[first[wide] + layer].tolist()]
-        if total.numel() == 0:
+        wide = int((counts > layer).sum())
+        values = stack.nz[order[first[:wide] + layer].tolist()]
+        n = total.numel()
+        if n == 0:
             total = values
-        elif total.numel() == values.numel():
+        elif n == wide:
             total = total + values
         else:
-            n = total.numel()
             total = ca.vertcat(total + values[:n], values[n:])
-    there = places[order][first][by_count]
-    if len(there) == size and (there == np.arange(size)).all():
-        return total
-    index = np.full(size, len(there))
-    index[there] = np.arange(len(there))
-    return (
-        ca.vertcat(total, 0).nz[index.tolist()] if len(there) < size else total.nz[index.tolist()]
-    )
+    return total
 
 
 class Assembly:

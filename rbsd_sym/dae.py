@@ -43,6 +43,25 @@ class Part:
     ode_rows: tuple[int, ...]
     alg_rows: tuple[int, ...] = ()
 
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """The constants, NaN where they are symbolic."""
+        return numbers_of(self.constants)
+
+    @cached_property
+    def signature(self) -> tuple[bytes, tuple[str, ...]]:
+        """What equal constants have in common, to be compared."""
+        symbolic = np.flatnonzero(np.isnan(self.numbers))
+        return self.numbers.tobytes(), tuple(str(self.constants[int(i)]) for i in symbolic)
+
+
+def numbers_of(column: ca.SX) -> np.ndarray:
+    """Entries of a column as numbers, NaN where they are symbolic."""
+    if column.is_constant():
+        return np.array(ca.DM(column)).reshape(-1)
+    entries = ca.vertsplit(column) if column.numel() else []
+    return np.array([float(v) if v.is_constant() else np.nan for v in entries])
+
 
 @dataclass(frozen=True)
 class Output:
@@ -290,10 +309,6 @@ class Dae:
     @cached_property
     def _start(self) -> ca.Function:
         return ca.Function("start", [self.p], [self.x_start, self.z_start])
-
-    def rates_function(self) -> ca.Function:
-        """Function (t, x, z, u, p) -> ode."""
-        return ca.Function("rates", self.symbols, [self.ode])
 
     def consistent(
         self, t: float, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray

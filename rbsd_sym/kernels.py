@@ -14,7 +14,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from .dae import Dae
+from .dae import Dae, numbers_of
 from .zeros import fold
 
 _STRUCTURAL = (0.0, 1.0, -1.0)
@@ -53,7 +53,7 @@ def groups(dae: Dae) -> list[Group]:
         writes = [i if i is not None else -1 if j is None else n + j
                   for i, j in zip(ode, alg, strict=True)]  # fmt: skip
         writes += [n + row for row in part.alg_rows]
-        arguments = (part.kernel, part.reads, part.reads_z, part.constants)
+        arguments = (part.kernel, part.reads, part.reads_z, part.constants, part.numbers)
         instances.append(reader.read(*arguments, tuple(writes)))
     return _grouped(dae, reader, instances)
 
@@ -66,7 +66,8 @@ def output_groups(dae: Dae) -> list[Group]:
         kernel, constants = output.build()
         writes = tuple(range(first, first + kernel.size1_out(0)))
         first += len(writes)
-        instances.append(reader.read(kernel, output.reads, output.reads_z, constants, writes))
+        arguments = (output.reads, output.reads_z, constants, numbers_of(constants), writes)
+        instances.append(reader.read(kernel, *arguments))
     return _grouped(dae, reader, instances)
 
 
@@ -117,37 +118,41 @@ class _Reader:
 
     def read(
         self, kernel: ca.Function, reads: tuple[int, ...], reads_z: tuple[int, ...],
-        constants: ca.SX, writes: tuple[int, ...],
+        constants: ca.SX, numbers: np.ndarray, writes: tuple[int, ...],
     ) -> _Instance:  # fmt: skip
         """A kernel with its arguments; they are those of a `Part`."""
         seen: dict[int, int] = {}
         columns = (
-            [self.states[row] for row in reads],
-            [self.unknowns[row] for row in reads_z],
-            ca.vertsplit(constants) if constants.numel() else [],
+            ca.vertcat(ca.SX(0, 1), *(self.states[row] for row in reads)),
+            ca.vertcat(ca.SX(0, 1), *(self.unknowns[row] for row in reads_z)),
+            constants,
         )
-        numbers, formulas, texts = [], [], []
-        for entry in (entry for column in columns for entry in column):
-            number, formula = self._entry(entry, seen)
-            numbers.append(number)
-            formulas.append(formula)
-            texts.append("" if np.isfinite(number) else str(formula))
-        a, b = len(columns[0]), len(columns[0]) + len(columns[1])
-        x, z, c = (ca.vertcat(ca.SX(0, 1), *piece) for piece in
-                   (formulas[:a], formulas[a:b], formulas[b:]))  # fmt: skip
+        known = (*(numbers_of(column) for column in columns[:2]), numbers)
+        texts: list[tuple[int, str]] = []
+        x, z, c = (self._column(column, values, seen, texts)
+                   for column, values in zip(columns, known, strict=True))  # fmt: skip
         pattern = tuple(row >= 0 for row in writes)
         key = (kernel.__hash__(), tuple(texts), pattern)
-        return _Instance(kernel, (x, z, c), np.array(numbers), tuple(seen), writes, key)
+        return _Instance(kernel, (x, z, c), np.concatenate(known), tuple(seen), writes, key)
 
-    def _entry(self, entry: ca.SX, seen: dict[int, int]) -> tuple[float, ca.SX]:
-        """An argument as a number, or as a formula of local symbols (and the time)."""
-        if entry.is_constant():
-            return float(entry), ca.SX(0)
+    def _column(
+        self, column: ca.SX, values: np.ndarray, seen: dict[int, int], texts: list[tuple[int, str]]
+    ) -> ca.SX:
+        """The column over local symbols, 0 for its numbers; what is symbolic is told in texts."""
+        out = ca.SX.zeros(len(values))
+        for i in np.flatnonzero(np.isnan(values)):
+            out[int(i)] = formula = self._entry(column[int(i)], seen)
+            texts.append((int(i), str(formula)))
+        texts.append((-1, ""))
+        return out
+
+    def _entry(self, entry: ca.SX, seen: dict[int, int]) -> ca.SX:
+        """A symbolic argument as a formula of local symbols (and the time)."""
         if entry.is_symbolic() and entry.element_hash() in self.rows:
-            return np.nan, self._name(entry, seen)
+            return self._name(entry, seen)
         symbols = [s for s in ca.symvar(entry) if s.element_hash() in self.rows]
         names = [self._name(symbol, seen) for symbol in symbols]
-        return np.nan, ca.substitute(entry, ca.vertcat(*symbols), ca.vertcat(*names))
+        return ca.substitute(entry, ca.vertcat(*symbols), ca.vertcat(*names))
 
     def _name(self, symbol: ca.SX, seen: dict[int, int]) -> ca.SX:
         place = seen.setdefault(self.rows[symbol.element_hash()], len(seen))

@@ -31,11 +31,26 @@ def rotation_pair(rotation: np.ndarray) -> tuple[ca.SX, ca.SX]:
     return value, _MATRIX_QUAT(value)
 
 
+def _marker_function() -> ca.Function:
+    """Position and rotations of marker and joint -> the first 16 entries of its column."""
+    p, A, B = ca.SX.sym("p", 3), ca.SX.sym("A", 3, 3), ca.SX.sym("B", 3, 3)
+    q = quat_product(matrix_quat(A), matrix_quat(B))
+    return ca.Function("marker", [p, A, B], [ca.vertcat(p, ca.vec(A @ B), q)])
+
+
+_MARKER = _marker_function()
+
+
 def marker_column(marker: Marker, body: RigidBody | None, joint: np.ndarray | None = None) -> ca.SX:
     """A marker relative to the centre of mass, with the joint's rotation and its own velocity.
 
     The velocity is the explicit derivative by TIME; Inputs count as held.
     """
+    turned = np.eye(3) if joint is None else joint
+    given = [marker.position, marker.rotation, turned, body.com if body else np.zeros(3)]
+    if all(v.dtype != object for v in given) and marker.rotation.shape == turned.shape == (3, 3):
+        place = marker.position - given[3]  # numbers take the short way
+        return ca.vertcat(ca.SX(_MARKER(place, marker.rotation, turned)), _STILL)
     R, q = rotation_pair(marker.rotation)
     if joint is not None:
         R_joint, q_joint = rotation_pair(joint)

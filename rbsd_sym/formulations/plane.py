@@ -137,6 +137,13 @@ def _is_axis(n: np.ndarray) -> bool:
     return int(np.count_nonzero(n)) == 1
 
 
+def _distinct(axes: np.ndarray) -> np.ndarray:
+    """Directions (k, 3) that differ, up to sign, each once and in order."""
+    lead = np.take_along_axis(axes, np.argmax(np.abs(axes) > _THIN, axis=1)[:, None], axis=1)
+    _, first = np.unique(np.round(axes * np.sign(lead), 9) + 0.0, axis=0, return_index=True)
+    return axes[np.sort(first)]
+
+
 def _across(a: np.ndarray, n: np.ndarray) -> np.ndarray:
     """Length of the part of vectors a (..., 3) across the unit vector n."""
     return np.linalg.norm(np.cross(a, n), axis=-1)
@@ -175,7 +182,7 @@ class _Start(NamedTuple):
         frames = np.concatenate([self.joints, self.rotations])
         axes = frames.transpose(0, 2, 1)[:, ::-1].reshape(-1, 3)
         flat = (np.abs(self.in_plane() @ axes.T) <= _FLAT).all(axis=0)
-        suggested = axes[flat | (np.count_nonzero(snap_rotation(axes), axis=1) == 1)]
+        suggested = _distinct(axes[flat | (np.count_nonzero(snap_rotation(axes), axis=1) == 1)])
         seen, upright = list[np.ndarray](), (self.rotations == EYE).all()
         if len(self.turning):
             suggested = self.turning[:1]

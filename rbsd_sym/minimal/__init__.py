@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ..dae import Dae
 from ..reduction import Reduction
 from .balance import balance
 from .freeze import freeze
 from .planar import planar
-from .suspects import suspects
+from .probing import at_rest
 from .transverse import dropped, inertial, never_moving, replaced, transverse
 from .unused import unused, without_effect
 
@@ -43,7 +45,9 @@ def finish(full: Dae, small: Dae, written: Dae, shift: int = 0) -> tuple[Dae, Re
 
     def seen() -> tuple[str, ...]:
         labels = reduced.expansion.labels[shift:] if reduced.expansion else ()
-        return tuple(n for i in suspects(full) if (n := labels[i].name) not in names)
+        return tuple(
+            name for i in np.flatnonzero(at_rest(full)) if (name := labels[i].name) not in names
+        )
 
     return reduced, Reduction(
         left,

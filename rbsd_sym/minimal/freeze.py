@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
 
-from ..dae import Dae, Expansion, Part
+from ..dae import Dae, Expansion, Part, numbers_of
 from ..zeros import fold
+from .probing import at_rest
 
 
 def freeze(dae: Dae) -> Dae:
@@ -45,40 +48,72 @@ def _is_live(part: Part, gone: frozenset[int]) -> bool:
 
 
 class _Frozen:
-    """The greatest provable fixed point; a part is seen again when what it reads is released."""
+    """The greatest provable fixed point; a part is seen again when what it reads is released.
+
+    Parts alike, with alike states frozen at alike values, are proven once.
+    """
 
     def __init__(self, dae: Dae) -> None:
         self.dae = dae
-        self.frozen = set(range(dae.x.numel()))
-        self.rates: list[dict[int, ca.SX]] = [{} for _ in range(dae.x.numel())]
-        self.readers: list[set[int]] = [set() for _ in range(dae.x.numel())]
+        n = dae.x.numel()
+        self.frozen = at_rest(dae)
+        self.x, self.start = ca.vertsplit(dae.x), ca.vertsplit(dae.x_start)
+        self.values = numbers_of(dae.x_start)
+        self.rates: list[dict[int, ca.SX | None]] = [{} for _ in range(n)]
+        self.readers: list[set[int]] = [set() for _ in range(n)]
+        self.local: list[ca.SX] = []
+        self.known: dict[Hashable, list[ca.SX | None]] = {}
         for k, part in enumerate(dae.parts):
             for row in part.reads:
                 self.readers[row].add(k)
 
     def solve(self) -> frozenset[int]:
-        """Indices of the states that never move."""
+        """Indices of the states that never move, among those that probing sees at rest."""
         dirty = set(range(len(self.dae.parts)))
         while dirty:
+            dirty = {k for k in dirty if self.frozen[list(self.dae.parts[k].ode_rows)].any()}
             touched = {row for k in dirty for row in self._evaluate(k)}
-            released = {row for row in touched & self.frozen if not self._is_zero(row)}
-            self.frozen -= released
+            released = [row for row in touched if self.frozen[row] and not self._is_zero(row)]
+            self.frozen[released] = False
             dirty = {k for row in released for k in self.readers[row]}
-        return frozenset(self.frozen)
+        return frozenset(int(i) for i in np.flatnonzero(self.frozen))
 
     def _evaluate(self, k: int) -> tuple[int, ...]:
         """Rates that part k adds with the frozen states at their start."""
-        part, dae = self.dae.parts[k], self.dae
-        states = ca.vertcat(*(dae.x_start[i] if i in self.frozen else dae.x[i] for i in part.reads))
-        rows, _ = dae.contribution(part, states)
-        # Proof costs time: only for rows that may still stay, and are not plainly zero.
-        open_rows = [i for i, row in enumerate(part.ode_rows)
-                     if row in self.frozen and not rows[i].is_constant()]  # fmt: skip
-        if open_rows and not states.is_valid_input():
-            rows[open_rows] = fold(rows[open_rows], ca.vertcat(*dae.symbols))
-        for i, row in enumerate(part.ode_rows):
-            self.rates[row][k] = rows[i]
+        part = self.dae.parts[k]
+        reads = list(part.reads)
+        still, values = self.frozen[reads], self.values[reads]
+        formulas = tuple(str(self.start[i]) for i, v, f in zip(reads, values, still, strict=True)
+                         if f and np.isnan(v))  # fmt: skip
+        given = np.where(still, values, np.nan)
+        key = (part.kernel.__hash__(), still.tobytes(), given.tobytes(), formulas, part.signature)
+        if key not in self.known:
+            self.known[key] = self._prove(part, still)
+        for row, rate in zip(part.ode_rows, self.known[key], strict=True):
+            self.rates[row][k] = rate
         return part.ode_rows
 
+    def _prove(self, part: Part, still: np.ndarray) -> list[ca.SX | None]:
+        """Rows of the kernel over t, u, p; None for one that depends on a state that moves."""
+        dae, count = self.dae, len(part.reads) + len(part.reads_z)
+        while len(self.local) < count:
+            self.local.append(ca.SX.sym(f"w{len(self.local)}"))
+        local = self.local[:count]
+        x = [self.start[row] if frozen else symbol
+             for row, frozen, symbol in zip(part.reads, still, local, strict=False)]  # fmt: skip
+        z = local[len(part.reads) :]
+        none = ca.SX(0, 1)
+        rows, _ = part.kernel(dae.t, ca.vertcat(none, *x), ca.vertcat(none, *z), part.constants)
+        moving = ca.vertcat(none, *local)
+        open_rows = [i for i in range(rows.numel()) if not rows[i].is_constant()]
+        if open_rows and still.any():
+            rows[open_rows] = fold(rows[open_rows], ca.vertcat(dae.t, moving, dae.u, dae.p))
+        return [None if ca.depends_on(row, moving) else row for row in ca.vertsplit(rows)]
+
     def _is_zero(self, row: int) -> bool:
-        return bool(sum(self.rates[row].values(), ca.SX(0)).is_zero())
+        total = ca.SX(0)
+        for rate in self.rates[row].values():
+            if rate is None:
+                return False
+            total = total + rate
+        return bool(total.is_zero())
