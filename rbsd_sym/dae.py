@@ -7,13 +7,14 @@ the parts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
+from .newton import newton
 from .zeros import fold
 
 
@@ -53,6 +54,11 @@ class Part:
         """What equal constants have in common, to be compared."""
         symbolic = np.flatnonzero(np.isnan(self.numbers))
         return self.numbers.tobytes(), tuple(str(self.constants[int(i)]) for i in symbolic)
+
+
+def pick(column: ca.SX, index: Sequence[int]) -> ca.SX:
+    """Entries of a column as a column, also none of them."""
+    return column[list(index)] if index else ca.SX(0, 1)
 
 
 def numbers_of(column: ca.SX) -> np.ndarray:
@@ -194,7 +200,7 @@ class Dae:
         ode, alg = [ca.SX(0)] * self.x.numel(), [ca.SX(0)] * self.z.numel()
         way = self.expansion
         for part in self.parts:
-            reads = self._pick(self.states, part.reads)
+            reads = pick(self.states, part.reads)
             d_ode, d_alg = self.contribution(part, reads)
             if way and not reads.is_valid_input():  # some reads never move
                 d_ode = fold(d_ode, ca.vertcat(*self.symbols))
@@ -207,7 +213,8 @@ class Dae:
             for i, row in enumerate(part.alg_rows):
                 alg[row] = alg[row] + d_alg[i]
         rows = ca.cse(ca.vertcat(ca.SX(0, 1), *ode, *alg))
-        return rows[: len(ode)], rows[len(ode) :]
+        n = len(ode)
+        return pick(rows, range(n)), pick(rows, range(n, rows.numel()))
 
     @property
     def states(self) -> ca.SX:
@@ -224,7 +231,7 @@ class Dae:
             return self.states
         states, rates = list(ca.vertsplit(self.states)), self._rates_of_z
         for motion in self.expansion.followers:
-            coordinates = self._pick(self.states, motion.coordinates)
+            coordinates = pick(self.states, motion.coordinates)
             basis = motion.basis(coordinates)
             moved = ca.jtimes(coordinates, self.z, rates)
             velocities = ca.solve(basis.T @ basis, basis.T @ moved)
@@ -234,7 +241,7 @@ class Dae:
 
     @property
     def _rates_of_z(self) -> ca.SX:
-        push = ca.jtimes(self.alg, self.x, self.ode) + ca.jacobian(self.alg, self.t)
+        push = ca.jacobian(self.alg, self.x) @ self.ode + ca.jacobian(self.alg, self.t)
         return -ca.solve(ca.jacobian(self.alg, self.z), push)
 
     @property
@@ -244,11 +251,7 @@ class Dae:
 
     def contribution(self, part: Part, states: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Rows that a part adds to ode and alg for given values of the states it reads."""
-        return part.kernel(self.t, states, self._pick(self.z, part.reads_z), part.constants)
-
-    @staticmethod
-    def _pick(column: ca.SX, index: tuple[int, ...]) -> ca.SX:
-        return column[list(index)] if index else ca.SX(0, 1)
+        return part.kernel(self.t, states, pick(self.z, part.reads_z), part.constants)
 
     @property
     def ode(self) -> ca.SX:
@@ -284,8 +287,8 @@ class Dae:
         states = list(ca.vertsplit(self.measured)) if lost else []
         for row, symbol in lost.items():
             states[row] = symbol
-        x = self._pick(ca.vertcat(*states) if lost else self.measured, out.reads)
-        value = kernel(self.t, x, self._pick(self.z, out.reads_z), constants)
+        x = pick(ca.vertcat(*states) if lost else self.measured, out.reads)
+        value = kernel(self.t, x, pick(self.z, out.reads_z), constants)
         if lost and ca.depends_on(value, ca.vertcat(*lost.values())):
             raise ValueError(
                 f"model '{self.name}': output '{name}' needs states that no requested output feels "
@@ -314,16 +317,20 @@ class Dae:
         self, t: float, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray
     ) -> tuple[np.ndarray, bool]:
         """The z that solves alg = 0, by Newton's method from the given z, and whether it does."""
-        residual = ca.substitute(
-            self.alg, ca.vertcat(self.t, self.x, self.u, self.p),
-            ca.vertcat(t, ca.DM(x), ca.DM(u), ca.DM(p)),
-        )  # fmt: skip
-        if ca.jacobian_sparsity(residual, self.z).is_singular():
-            return z, False
-        options = {"error_on_fail": False, "abstol": 1e-13, "max_iter": 50}
-        newton = ca.rootfinder("start", "newton", {"x": self.z, "g": residual}, options)
-        value = np.array(newton(z, [])).reshape(-1)
-        return value, bool(newton.stats()["success"]) and bool(np.isfinite(value).all())
+        residual, jacobian = self._balance
+        return newton(
+            lambda z: np.array(residual(t, x, z, u, p)).reshape(-1),
+            lambda z: np.array(ca.DM(jacobian(t, x, z, u, p))),
+            np.array(z, float),
+        )
+
+    @cached_property
+    def _balance(self) -> tuple[ca.Function, ca.Function]:
+        """Alg and its derivative by z as Functions."""
+        return (
+            ca.Function("alg", self.symbols, [self.alg]),
+            ca.Function("dalg_dz", self.symbols, [ca.jacobian(self.alg, self.z)]),
+        )
 
     def verify(self) -> None:
         """Check sizes, labels and rows.

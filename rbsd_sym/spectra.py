@@ -7,32 +7,40 @@ import math
 import numpy as np
 
 _INFINITE = 1e-4  # of an inverse eigenvalue times the shift
-_ROUNDING = 1e-6  # of a defective zero eigenvalue: sqrt(epsilon) with room for its scale
+_ROUNDING = 1e3 * float(np.finfo(float).eps)  # of a matrix and its eigenvalues, with room
 _TENFOLD = math.log(10.0)
 _TERMS = 12  # of the exponential's series, after scaling
 
 
-def finite_spectrum(block: np.ndarray, inertial: np.ndarray) -> np.ndarray:
-    """Eigenvalues of M x' = J x, M diagonal with 0 where a row has no inertia (1/s).
+def finite_spectrum(block: np.ndarray, inertial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues of M x' = J x, M diagonal with 0 where a row has no inertia, and their errors.
 
     By inversion about a shift of the size of the spectrum; what lies 1e4 times further out is
     infinite. A row of zeros without inertia is a direction that nothing decides, and counts as 0.
+    Errors are rounding times the condition of each eigenvalue, large for multiple ones (1/s).
     """
     mass = np.diag((inertial | ~block.any(axis=1)).astype(float))
     if mass.trace() == len(block):
-        return np.linalg.eigvals(block)
+        return _with_errors(block)
     shift = 1 + np.sqrt(np.abs(block).max())
-    inverse = np.linalg.eigvals(np.linalg.pinv(block - shift * mass) @ mass)
-    return shift + 1 / inverse[np.abs(inverse) * shift > _INFINITE]
+    inverse, errors = _with_errors(np.linalg.pinv(block - shift * mass) @ mass)
+    finite = np.abs(inverse) * shift > _INFINITE
+    return shift + 1 / inverse[finite], errors[finite] / np.abs(inverse[finite]) ** 2
+
+
+def _with_errors(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    values, right = np.linalg.eig(A)
+    left = np.linalg.pinv(right)
+    condition = np.linalg.norm(right, axis=0) * np.linalg.norm(left, axis=1)
+    return values, _ROUNDING * condition * np.linalg.norm(A)
 
 
 def growth_rates(blocks: np.ndarray, inertial: np.ndarray) -> np.ndarray:
     """Largest real part of the eigenvalues of each block (k, n, n), 0 within their rounding."""
     rates = np.zeros(len(blocks))
     for i, block in enumerate(blocks):
-        values = finite_spectrum(block, inertial)
-        largest = values.real.max(initial=0.0)
-        rates[i] = largest if largest > _ROUNDING * (1 + np.abs(values).max(initial=0.0)) else 0.0
+        values, errors = finite_spectrum(block, inertial)
+        rates[i] = values.real[values.real > errors].max(initial=0.0)
     return rates
 
 

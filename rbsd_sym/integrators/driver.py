@@ -55,9 +55,13 @@ def run(
         if not consistent:
             return _not_consistent(model, experiment)
         experiment = replace(experiment, z=z)
+    if model.n_x == 0:
+        return _quasi_static(model, experiment, started)
     integrator, kept = _integrator(model, experiment, plugin, options)
     built = time.perf_counter()
     result = _evaluate(integrator, experiment)
+    if model.n_z:
+        _settle(model, experiment, result)
     if result.failed:
         raise_of_user(kept)
     stats = {ours: float(result.stats.get(theirs, np.nan)) for ours, theirs in count.items()}
@@ -220,8 +224,36 @@ def assemble(
 
 def _consistent(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
     """Z that solves alg = 0 at the start, by Newton's method from the given z."""
-    u = input_values(e.inputs, e.t[:1])
+    u = input_values(e.inputs, e.t[:1])[:, 0]
     return model.dae.consistent(float(e.t[0]), e.x, e.z, u, e.p)
+
+
+def _settle(model: Model, e: Experiment, result: Run) -> None:
+    """Solve alg = 0 again at the saved points: between its steps an integrator interpolates z."""
+    u = input_values(e.inputs, e.t)
+    for k in range(1, len(e.t)):
+        if not np.isfinite(result.x[k]).all():
+            return
+        z, found = model.dae.consistent(float(e.t[k]), result.x[k], result.z[k], u[:, k], e.p)
+        if found:
+            result.z[k] = z
+
+
+def _quasi_static(model: Model, e: Experiment, started: float) -> Trajectory:
+    """A model without states: alg = 0 at each time, each from the one before."""
+    u, z = input_values(e.inputs, e.t), [e.z]
+    for k in range(1, len(e.t)):
+        value, found = model.dae.consistent(float(e.t[k]), e.x, z[-1], u[:, k], e.p)
+        if not found:
+            break
+        z.append(value)
+    end = Outcome.reached_end if len(z) == len(e.t) else Outcome.solver_failed
+    report = end.value if end.ok else (
+        f"no balance found at t = {e.t[len(z)]:.9g} s, near the one before; give closer times, or "
+        "inertia, if it jumps there"
+    )  # fmt: skip
+    stats = {"time": time.perf_counter() - started}
+    return assemble(model, e, np.zeros((len(z), 0)), np.array(z), end, report, stats)
 
 
 def _not_consistent(model: Model, e: Experiment) -> Trajectory:

@@ -13,6 +13,7 @@ from ..trajectory import Experiment, Outcome, Trajectory
 from .checks import check_options
 from .driver import Run, Verdict, run
 
+_FIRST_STEP = 1e-7  # of the run, with algebraic unknowns
 _FLOOR = 1e-15  # of rtol; below it IDAS refuses, for want of digits
 
 _REASONS = {
@@ -78,6 +79,8 @@ class Idas:
             model.n_z
         ):  # else their rounding, large where they follow from stiff forces, sets the step
             options["suppress_algebraic"] = True
+            # Its own first guess, 1e-14 s at tight tolerances, leaves their equations no digits.
+            options["step0"] = _FIRST_STEP * float(experiment.t[-1] - experiment.t[0])
         if self.linear_solver:
             options["linear_solver"] = self.linear_solver
         if self.max_step:

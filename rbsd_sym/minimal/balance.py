@@ -15,7 +15,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from ..dae import Balance, Dae, Expansion, Label, Part
+from ..dae import Balance, Dae, Expansion, Label, Part, pick
 from .undecided import Block, mixed, settle
 
 _SHOWN = 12  # start values in one note
@@ -84,7 +84,8 @@ class _Sorting:
         dae, way, first = self.dae, self.way, self.dae.z.numel()
         followers = tuple(b.motion for b in self.blocks if not b.damped)
         derived = {row for motion in followers for row in motion.velocities}
-        unknown = [way.rows[row] for b in self.blocks for row in b.unknowns]
+        places = (way.rows[row] for b in self.blocks for row in b.unknowns)
+        unknown = [place for place in places if place is not None]
         leaving = {*unknown, *(way.rows[row] for row in derived)}
         kept = [i for i in range(dae.x.numel()) if i not in leaving]
         place: dict[int | None, int] = {old: new for new, old in enumerate(kept)}
@@ -98,12 +99,12 @@ class _Sorting:
             states[row] = ca.SX(0)
         return replace(
             dae,
-            x=dae.x[kept] if kept else ca.SX(0, 1),
+            x=pick(dae.x, kept),
             x_labels=tuple(dae.x_labels[i] for i in kept),
-            x_start=dae.x_start[kept] if kept else ca.SX(0, 1),
-            z=ca.vertcat(dae.z, dae.x[unknown]),
-            z_labels=(*dae.z_labels, *(dae.x_labels[i] for i in unknown)),  # type: ignore[index]
-            z_start=ca.vertcat(dae.z_start, dae.x_start[unknown]),
+            x_start=pick(dae.x_start, kept),
+            z=ca.vertcat(dae.z, pick(dae.x, unknown)),
+            z_labels=(*dae.z_labels, *(dae.x_labels[i] for i in unknown)),
+            z_start=ca.vertcat(dae.z_start, pick(dae.x_start, unknown)),
             parts=(*dae.parts, *numbered),
             balances=(),
             notes=(*dae.notes, *self.notes),

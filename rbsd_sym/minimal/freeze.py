@@ -8,7 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ..dae import Dae, Expansion, Part, numbers_of
+from ..dae import Dae, Expansion, Part, numbers_of, pick
 from ..zeros import fold
 from .probing import at_rest
 
@@ -29,9 +29,9 @@ def freeze(dae: Dae) -> Dae:
         start[i] if i in gone else x[i] for i in range(x.numel())))  # fmt: skip
     return replace(
         dae,
-        x=x[kept] if kept else ca.SX(0, 1),
+        x=pick(x, kept),
         x_labels=tuple(dae.x_labels[i] for i in kept),
-        x_start=start[kept] if kept else ca.SX(0, 1),
+        x_start=pick(start, kept),
         parts=tuple(part for part in dae.parts if _is_live(part, gone)),
         expansion=Expansion(
             states,

@@ -130,7 +130,7 @@ class _Probe:
     def scales(self, matrix: ca.SX) -> np.ndarray:
         """Largest entry of each row over the points; rows of rounding are not raised."""
         largest = np.max([np.abs(value).max(axis=1) for value in self.values(matrix)], axis=0)
-        return np.where(largest > self.noise, largest, max(largest.max(), self.noise, 1.0))
+        return np.where(largest > self.noise, largest, max(self.noise / _NOISE, 1.0))
 
     @cached_property
     def noise(self) -> float:
@@ -143,7 +143,7 @@ class _Probe:
         scales = self.scales(matrix)[:, None]
         values = self.values(matrix)[: 1 if at_start else None]
         singular = [np.linalg.svd(value / scales, compute_uv=False) for value in values]
-        return max(int((s > _RANK * max(s[0], _RANK)).sum()) for s in singular)
+        return max(int((s > _RANK * max(s[0], 1.0)).sum()) for s in singular)
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _check_nothing_acts(probe: _Probe, felt: ca.SX, F: ca.SX, group: _Group) -> 
     """A force in a direction that neither states nor unknowns feel cannot be balanced."""
     sizes = [np.abs(value).max() for value in probe.values(F)]
     lost = [np.abs(value).max() for value in probe.values(_through(probe, felt, F))]
-    if max(lost) > _LEAK * (max(sizes) + probe.noise):
+    if max(lost) > _LEAK * max(sizes) + probe.noise:
         raise ValueError(
             f"model '{probe.dae.name}': {group.name}: {max(lost):.3g} N (or N m) act on a motion "
             "without inertia that nothing resists; hold it by stiffness or damping, or give it a "

@@ -8,7 +8,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from ..dae import Dae, Expansion, Part
+from ..dae import Dae, Expansion, Part, pick
 
 
 def unused(dae: Dae) -> Dae:
@@ -49,14 +49,13 @@ def unused(dae: Dae) -> Dae:
 
 
 def _only(dae: Dae, x: list[int], z: list[int]) -> Dae:
-    none = ca.SX(0, 1)
     return replace(
         dae,
-        x=dae.x[x] if x else none,
-        x_start=dae.x_start[x] if x else none,
+        x=pick(dae.x, x),
+        x_start=pick(dae.x_start, x),
         x_labels=tuple(dae.x_labels[i] for i in x),
-        z=dae.z[z] if z else none,
-        z_start=dae.z_start[z] if z else none,
+        z=pick(dae.z, z),
+        z_start=pick(dae.z_start, z),
         z_labels=tuple(dae.z_labels[i] for i in z),
     )
 
@@ -119,8 +118,8 @@ def without_effect(dae: Dae) -> Dae:
     kept, idle = ([int(i) for i in np.flatnonzero(mask)] for mask in (felt, ~felt))
     return replace(
         dae,
-        p=dae.p[kept] if kept else ca.SX(0, 1),
+        p=pick(dae.p, kept),
         p_labels=tuple(dae.p_labels[i] for i in kept),
-        idle_p=dae.p[idle],
+        idle_p=pick(dae.p, idle),
         idle_p_labels=tuple(dae.p_labels[i] for i in idle),
     )
