@@ -38,10 +38,12 @@ class Verdict(NamedTuple):
 def run(
     model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any],
     judge: Callable[[Run], Verdict], count: Mapping[str, str],
+    with_rates: Callable[[list[float]], Mapping[str, Any]] | None = None,
 ) -> Trajectory:  # fmt: skip
     """Integrate with a CasADi plugin.
 
     Arguments:
+        with_rates: more options, from the rates at the consistent start of a model with unknowns.
         judge: reads the outcome from a failed run.
         count: names of the statistics we report and of the plugin's own.
     """
@@ -57,6 +59,10 @@ def run(
         experiment = replace(experiment, z=z)
     if model.n_x == 0:
         return _quasi_static(model, experiment, started)
+    if model.n_z and with_rates:
+        e, u = experiment, input_values(experiment.inputs, experiment.t[:1])
+        rates = np.array(model.function("ode")(e.t[0], e.x, e.z, u, e.p)).reshape(-1)
+        options = {**with_rates([float(rate) for rate in rates]), **options}
     integrator, kept = _integrator(model, experiment, plugin, options)
     built = time.perf_counter()
     result = _evaluate(integrator, experiment)
