@@ -169,7 +169,7 @@ def _check_inertia(matrix: np.ndarray, where: str) -> None:
             "check the products of inertia"
         )
     a, b, c = np.linalg.eigvalsh(matrix)
-    if a < 0 or (a == 0 and c > 0 and b == 0):
+    if a < 0:
         raise ValueError(
             f"{where}: inertia has the principal value {a:.6g} kg m2; they are positive; check "
             "signs and units"

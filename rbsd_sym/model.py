@@ -17,7 +17,7 @@ from .spectra import growth_exponent, growth_rates
 from .trajectory import Column, Trajectory
 from .version import VERSION
 
-_EIGENVALUE_WORK = 2e7  # cube of the block's size times the number of points: about 0.1 s
+_EIGENVALUE_WORK = 5e6  # cube of the block's size times the number of points: about 30 ms
 _PROPAGATED = 60  # states left out, up to which their propagator is affordable
 _POINTS = 400  # for it
 _FEW_PARTS = 20

@@ -155,10 +155,10 @@ def _check_kept(model: Model, start: Mapping[str, float]) -> None:
     still = {d.name: f"left out at {d.value:.6g}: {d.reason}" for d in model.dropped}
     how = still | {r.name: f"replaced: it is {r.how}" for r in model.replaced}
     for name in set(start) & set(how):
-        raise ValueError(
-            f"model '{model.name}': state '{name}' was {how[name]}; a start elsewhere needs "
-            "compile_scene(minimal=False)"
-        )
+        remedy = "a start elsewhere needs compile_scene(minimal=False)"
+        if "rate of" in how[name]:
+            remedy = "without inertia it has no start of its own"
+        raise ValueError(f"model '{model.name}': state '{name}' was {how[name]}; {remedy}")
 
 
 def _check_known(

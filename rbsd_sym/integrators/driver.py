@@ -16,6 +16,9 @@ from ..model import Model
 from ..trajectory import Column, Experiment, Outcome, Samples, Signal, Trajectory
 from .signals import evaluate, is_constant, raise_of_user, symbolic
 
+_ROUNDS = 3  # of Newton's method at saved points, from values good to the tolerance
+_SETTLED = 1e-10  # last step, relative to the unknowns
+
 
 class Run(NamedTuple):
     """Raw result: x (n, n_x), z (n, n_z) with NaN rows after a failure, messages, statistics."""
@@ -81,11 +84,11 @@ def _integrator(
 ) -> tuple[ca.Function, list[Any]]:
     """The integrator Function, and what it calls back, which must live as long.
 
-    It is kept with the model for the next run of the same kind, unless an input is a function: that
-    may answer differently next time.
+    It is kept with the model for the next run of the same kind, unless an input is a function,
+    which may answer differently next time, or the start is part of the options.
     """
     inputs, grid = experiment.inputs, [float(t) for t in experiment.t]
-    fixed = all(is_constant(s) for s in inputs)
+    fixed = all(is_constant(s) for s in inputs) and "init_xdot" not in options
     key = ("integrator", plugin, repr(sorted(options.items())), experiment.t.tobytes())
     if fixed and key in model.memo:
         return model.memo[key], []
@@ -235,14 +238,29 @@ def _consistent(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
 
 
 def _settle(model: Model, e: Experiment, result: Run) -> None:
-    """Solve alg = 0 again at the saved points: between its steps an integrator interpolates z."""
-    u = input_values(e.inputs, e.t)
-    for k in range(1, len(e.t)):
-        if not np.isfinite(result.x[k]).all():
-            return
-        z, found = model.dae.consistent(float(e.t[k]), result.x[k], result.z[k], u[:, k], e.p)
-        if found:
-            result.z[k] = z
+    """Solve alg = 0 again at the saved points: between its steps an integrator interpolates z.
+
+    All points at once by Newton's method, those where it does not settle one by one.
+    """
+    n = int(np.isfinite(result.x).all(axis=1).argmin()) or len(e.t)
+    u, p = input_values(e.inputs, e.t[:n]), np.repeat(e.p[:, None], n, axis=1)
+    t, x, z = e.t[None, :n], result.x[:n].T, result.z[:n].T.copy()
+    size = np.full(n, np.inf)
+    for _ in range(_ROUNDS):
+        r = np.array(model.function("alg")(t, x, z, u, p)).T
+        J = np.array(ca.DM(model.function("dalg_dz")(t, x, z, u, p)))
+        J = J.reshape(model.n_z, n, model.n_z).transpose(1, 0, 2)
+        try:
+            step = np.linalg.solve(J, r[:, :, None])[:, :, 0].T
+        except np.linalg.LinAlgError:
+            break
+        z = z - step
+        size = (np.abs(step) / (1 + np.abs(z))).max(axis=0)
+    for k in np.flatnonzero(~(size <= _SETTLED)):
+        given = (float(e.t[k]), result.x[k], result.z[k], u[:, k], e.p)
+        value, found = model.dae.consistent(*given)
+        z[:, k] = value if found else result.z[k]
+    result.z[:n] = z.T
 
 
 def _quasi_static(model: Model, e: Experiment, started: float) -> Trajectory:
