@@ -92,3 +92,31 @@ def test_sizes_of_minimal_models() -> None:
             f"| {small.operations('ode')} |"
         )
         assert small.n_x <= full.n_x
+
+
+def test_time_of_the_passes() -> None:
+    """A planar chain of 100 links, from scene to minimal model."""
+    for law in (rs.Standard(), rs.Consistent()):
+        scene, times = chain(100, law), []
+        for _ in range(3):
+            started = time.perf_counter()
+            model = rs.compile_scene(scene)
+            times.append(time.perf_counter() - started)
+        name = type(law).__name__
+        print(f"\nplanar chain of 100, {name}: {statistics.median(times):.2f} s (goal: below 5)")
+        assert model.n_x == 600
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_long_spatial_chain_from_scene_to_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RBSD_SYM_CACHE", str(tmp_path / "cache"))
+    started = time.perf_counter()
+    model = rs.compile_scene(chain(256, rs.Standard(), 0.1))
+    artefact = rs.export_c(model, tmp_path / "chain")
+    rs.load_c(artefact)
+    size = (artefact.folder / "chain.c").stat().st_size
+    took = time.perf_counter() - started
+    print(f"\nspatial chain of 256, to a compiled library: {took:.1f} s, {size / 1e6:.2f} MB of C")
+    assert model.kernels
