@@ -281,13 +281,17 @@ class Model:
             return self.assembly.operations
         return int(self.function(name).n_instructions())
 
+    @property
+    def _layout_text(self) -> str:
+        return f" in {len(self.assembly.groups)} kernels" if self.kernels else ""
+
     def __str__(self) -> str:
         jacobian = self.function("dode_dx")
         lines = [
             f"model {self.name}: {self.n_x} states, {self.n_z} algebraic, {self.n_u} inputs, "
             f"{self.n_p} parameters, digest {self.digest}",
-            f"cost: ode {self.operations('ode')} instructions, dode_dx "
-            f"{self.operations('dode_dx')} instructions and {jacobian.nnz_out(0)} nonzeros",
+            f"cost: ode {self.operations('ode')} instructions{self._layout_text}, dode_dx "
+            f"{jacobian.nnz_out(0)} nonzeros",
             *table("states kept", self.dae.x_labels),
             *table("algebraic unknowns", self.dae.z_labels),
             *table("inputs", self.dae.u_labels),

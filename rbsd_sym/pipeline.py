@@ -83,6 +83,7 @@ def simulate(
     params: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
     throw: bool = True,
+    throw_unstable: bool = False,
 ) -> Trajectory:
     """Integrate a model.
 
@@ -95,6 +96,7 @@ def simulate(
         params: values by name; the others keep their default.
         start: values of states by name; the others keep theirs.
         throw: raise a failure; otherwise it is data in `trajectory.outcome`.
+        throw_unstable: raise, too, if a motion that a minimal model left out is unstable.
 
     Raises:
         ValueError: unknown names, times that do not increase.
@@ -108,13 +110,16 @@ def simulate(
         )
     experiment = make_experiment(model, times, inputs or {}, params or {}, start or {})
     trajectory = _across_reduction(model, (integrator or Idas()).solve(model, experiment))
-    if throw and not trajectory.outcome.ok:
+    unstable = trajectory.outcome is Outcome.unstable_across_reduction
+    if (throw and not trajectory.outcome.ok) or (throw_unstable and unstable):
         raise IntegrationError(trajectory)
+    if unstable:
+        warnings.warn(f"{model.name}: {trajectory.report}", ModelWarning, stacklevel=2)
     return trajectory
 
 
 def _across_reduction(model: Model, trajectory: Trajectory) -> Trajectory:
-    """The trajectory, with a warning as its outcome if the motion left out is unstable."""
+    """The trajectory, and its outcome if the motion left out is unstable."""
     if trajectory.outcome is not Outcome.reached_end:
         return trajectory
     growth = model.transverse_growth(trajectory)
@@ -126,7 +131,6 @@ def _across_reduction(model: Model, trajectory: Trajectory) -> Trajectory:
         f"factor of {np.exp(min(growth.exponent, 700.0)):.3g} over the run; "
         "compile with minimal=False and disturb the start"
     )
-    warnings.warn(f"{model.name}: {report}", ModelWarning, stacklevel=3)
     return replace(trajectory, outcome=outcome, report=report)
 
 

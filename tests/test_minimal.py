@@ -266,6 +266,9 @@ def test_buckling_hidden_by_the_minimal_model_is_reported() -> None:
     with pytest.warns(rs.ModelWarning, match=r"grows with \d\.\d+ 1/s"):
         trajectory = rs.simulate(model, 0.1)
     assert trajectory.outcome is rs.Outcome.unstable_across_reduction
+    with pytest.raises(rs.IntegrationError, match="unstable") as caught:
+        rs.simulate(model, 0.1, throw_unstable=True)
+    assert caught.value.trajectory.t[-1] == 0.1
     assert model.reduction is not None
     # An upright pendulum at rest on its springs: growth^2 = (m g l - k) / (I + m l^2), but for the
     # give of the hinge, 1e6 N/m.

@@ -26,9 +26,8 @@ def card_text(model: Model, functions: list[Exported]) -> str:
     ]  # fmt: skip
     for f in functions:
         size = f"{f.rows} x {f.columns}, {f.numbers} nonzeros" if f.sparse else f"{f.numbers}"
-        lines.append(
-            f"| `{name}_{f.name.replace('.', '_')}` | {size} | {f.kernel.n_instructions()} |"
-        )
+        cost = "mapped kernels" if model.kernels else f.kernel.n_instructions()
+        lines.append(f"| `{name}_{f.name.replace('.', '_')}` | {size} | {cost} |")
     lines += ["", "## States kept", "", *_rows(dae.x_labels)]
     for title, labels in (
         ("Algebraic unknowns", dae.z_labels),
