@@ -23,7 +23,7 @@ from ..dae import Balance, Dae, Part
 _TAU = 1e-3  # s; the result does not depend on it, rounding grows with its inverse
 _RANK = 1e-9  # of a singular value, relative to the largest; rows are scaled
 _NOISE = 1e-13  # of the largest derivative in the model: smaller ones are rounding
-_VIRTUAL = 1e-6
+_VIRTUAL = 1e-6  # of the real resistance, where the start alone decides nothing
 _LEAK = 1e-6  # of what a projector may let through
 _LARGEST = 12  # rows of a group; the price of a projector grows with their fourth power
 
