@@ -78,14 +78,13 @@ class Assembly:
         starts = np.cumsum([0, *sizes.values()])
         self.inputs = {k: range(a, b) for k, (a, b) in zip("xzup", pairwise(starts), strict=True)}
         n, m = sizes["x"], sizes["z"]
-        self.outputs = {"ode": range(n), "alg": range(n, n + m)}
+        self.outputs = {
+            "ode": range(n), "alg": range(n, n + m), "out": range(len(dae.out_labels)),
+        }  # fmt: skip
 
     @cached_property
     def _output_groups(self) -> list[Group]:
-        found = output_groups(self.dae)
-        last = max((int(group.writes.max()) for group in found), default=-1)
-        self.outputs["out"] = range(max(last + 1, len(self.dae.out_labels)))
-        return found
+        return output_groups(self.dae)
 
     def _groups_of(self, name: str) -> list[Group]:
         return self._output_groups if name == "out" else self.groups
@@ -104,7 +103,7 @@ class Assembly:
 
     def _with_jacobian(self, name: str) -> ca.Function:
         """Ode or alg as a Function that knows its exact sparse Jacobian."""
-        value, options = self.value(name), {}
+        value = self.value(name)
         blocks = [self.by_time(name), *(self.jacobian(name, kind) for kind in "xzup")]
         given = ca.MX.sym("given", value.numel())
         jacobian = ca.Function(
@@ -116,20 +115,18 @@ class Assembly:
 
     def value(self, name: str) -> ca.MX:
         """Ode, alg or out."""
-        here = self._groups_of(name)
         rows = self.outputs[name]
         terms = [
             _Term(self._mapped(group, group.kernel), _within(group.writes, rows))
-            for group in here
+            for group in self._groups_of(name)
             if (_within(group.writes, rows) >= 0).any()
         ]
         return scatter_add(terms, len(rows))
 
     def jacobian(self, name: str, by: str) -> ca.MX:
         """Sparse derivative of ode, alg or out by x, z, u, p."""
-        here = self._groups_of(name)
         rows, columns = self.outputs[name], self.inputs[by]
-        tangents = [self._tangents(group, rows, columns) for group in here]
+        tangents = [self._tangents(group, rows, columns) for group in self._groups_of(name)]
         found = [term for term in tangents if term is not None]
         return _matrix(found, len(rows), len(columns))
 
@@ -172,7 +169,7 @@ class Assembly:
             function = ca.Function("forward", [t, w, c, seed], [rate])
             values = self._mapped(group, function, _gather(direction, group.reads))
             terms.append(_Term(values, group.writes))
-        return scatter_add(terms, sum(map(len, self.outputs.values())))
+        return scatter_add(terms, self.outputs["alg"].stop)
 
     def adjoint(self, multiplier: ca.MX) -> ca.MX:
         """Gradient of multiplier' [ode; alg] by w, a column."""
