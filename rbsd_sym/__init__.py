@@ -5,7 +5,7 @@ The file to read first is `pipeline.py`.
 
 from . import plots
 from .elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
-from .exports import Artefact, CompilerMissing, Library, export_c, load_c
+from .exports import Artefact, CompilerMissing, Library, compiled, export_c, load_c
 from .formulations import ModelWarning, Quaternion, TaitBryan
 from .integrators import ExplicitRK, Idas, Rosenbrock
 from .laws import Consistent, Intrinsic, Standard
@@ -44,6 +44,7 @@ __all__ = [
     "Trajectory",
     "__version__",
     "compile_scene",
+    "compiled",
     "export_c",
     "load_c",
     "plots",

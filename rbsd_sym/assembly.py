@@ -63,10 +63,23 @@ def _layers(stack: ca.MX, order: np.ndarray, first: np.ndarray, counts: np.ndarr
     return total
 
 
+def with_jacobian(
+    name: str, symbols: Sequence[ca.MX], value: ca.MX, blocks: Sequence[ca.MX]
+) -> ca.Function:
+    """The Function (t, x, z, u, p) -> value that knows its exact sparse Jacobian."""
+    given = ca.MX.sym("given", value.numel())
+    jacobian = ca.Function(
+        f"jac_{name}", [*symbols, given], blocks, [*"txzup", f"out_{name}"],
+        [f"jac_{name}_{kind}" for kind in "txzup"],
+    )  # fmt: skip
+    options = {"custom_jacobian": jacobian, "jac_penalty": 0}
+    return ca.Function(name, symbols, [value], list("txzup"), [name], options)
+
+
 class Assembly:
     """The functions of a `Dae` from its groups; all take (t, x, z, u, p).
 
-    Vectors are stacked as w = [x; z; u; p] and f = [ode; alg].
+    Derivatives are by w = [x; z; u; p]; groups write rows of [ode; alg], or of out.
     """
 
     def __init__(self, dae: Dae) -> None:
@@ -95,58 +108,51 @@ class Assembly:
         return sum(g.kernel.n_instructions() * g.reads.shape[1] for g in self.groups)
 
     def function(self, name: str) -> ca.Function:
-        """Ode, alg, out or a derivative d<f>_d<v>, as a CasADi Function."""
+        """Ode, alg, out or a derivative of one, named as in `Model`, as a CasADi Function."""
+        f, _, kind = name.partition("_")
         if name in ("ode", "alg"):
-            return self._with_jacobian(name)
-        expression = self.value(name) if name == "out" else self.jacobian(*name[1:].split("_d"))
-        return ca.Function(name, self.symbols, [expression], list("txzup"), [name])
-
-    def _with_jacobian(self, name: str) -> ca.Function:
-        """Ode or alg as a Function that knows its exact sparse Jacobian."""
-        value = self.value(name)
-        blocks = [self.by_time(name), *(self.jacobian(name, kind) for kind in "xzup")]
-        given = ca.MX.sym("given", value.numel())
-        jacobian = ca.Function(
-            f"jac_{name}", [*self.symbols, given], blocks, [*"txzup", f"out_{name}"],
-            [f"jac_{name}_{kind}" for kind in "txzup"],
-        )  # fmt: skip
-        options = {"custom_jacobian": jacobian, "jac_penalty": 0}
-        return ca.Function(name, self.symbols, [value], list("txzup"), [name], options)
+            blocks = [self.jacobian(name, kind) for kind in "txzup"]
+            return with_jacobian(name, self.symbols, self.value(name), blocks)
+        if name == "out":
+            return ca.Function(name, self.symbols, [self.value(name)], list("txzup"), [name])
+        if f not in self.outputs:
+            expression = self.jacobian(*name[1:].split("_d"))
+            return ca.Function(name, self.symbols, [expression], list("txzup"), [name])
+        letter, size = ("v", self.w.numel()) if kind == "forward" else ("l", len(self.outputs[f]))
+        given = ca.MX.sym(letter, size)
+        result = getattr(self, kind)(f, given)
+        return ca.Function(name, [*self.symbols, given], [result], [*"txzup", letter], [name])
 
     def value(self, name: str) -> ca.MX:
         """Ode, alg or out."""
-        rows = self.outputs[name]
-        terms = [
-            _Term(self._mapped(group, group.kernel), _within(group.writes, rows))
-            for group in self._groups_of(name)
-            if (_within(group.writes, rows) >= 0).any()
-        ]
-        return scatter_add(terms, len(rows))
+        terms = [_Term(self._mapped(group, group.kernel), writes)
+                 for group, writes in self._writing(name)]  # fmt: skip
+        return scatter_add(terms, len(self.outputs[name]))
 
     def jacobian(self, name: str, by: str) -> ca.MX:
-        """Sparse derivative of ode, alg or out by x, z, u, p."""
+        """Sparse derivative of ode, alg or out by t (explicit), x, z, u, p."""
+        if by == "t":
+            return self._by_time(name)
         rows, columns = self.outputs[name], self.inputs[by]
         tangents = [self._tangents(group, rows, columns) for group in self._groups_of(name)]
         found = [term for term in tangents if term is not None]
         return _matrix(found, len(rows), len(columns))
 
-    def by_time(self, name: str) -> ca.MX:
-        """Explicit derivative of ode or alg by the time, a dense column."""
+    def _by_time(self, name: str) -> ca.MX:
+        """A dense column."""
         rows, terms = self.outputs[name], []
-        for group in self.groups:
+        for group, writes in self._writing(name):
             t, w, c = group.kernel.sx_in()
             rate = ca.densify(ca.jacobian(group.kernel(t, w, c), t))
             if not rate.is_zero():
-                terms.append(_Term(
-                    self._mapped(group, ca.Function("by_time", [t, w, c], [rate])),
-                    _within(group.writes, rows),
-                ))  # fmt: skip
+                function = ca.Function("by_time", [t, w, c], [rate])
+                terms.append(_Term(self._mapped(group, function), writes))
         return scatter_add(terms, len(rows))
 
-    def hessian(self, multiplier: ca.MX) -> ca.MX:
-        """Second derivatives of multiplier' [ode; alg] by w, sparse and symmetric (n_w, n_w)."""
+    def hessian(self, name: str, multiplier: ca.MX) -> ca.MX:
+        """Second derivatives of multiplier' f by w, sparse and symmetric (n_w, n_w)."""
         found = []
-        for group in self.groups:
+        for group, writes in self._writing(name):
             t, w, c = group.kernel.sx_in()
             scale = ca.SX.sym("l", group.kernel.size1_out(0))
             second, _ = ca.hessian(ca.dot(scale, group.kernel(t, w, c)), w)
@@ -154,34 +160,39 @@ class Assembly:
             if not len(i):
                 continue
             function = ca.Function("second", [t, w, c, scale], [second.nz[:]])
-            values = self._mapped(group, function, _gather(multiplier, group.writes))
+            values = self._mapped(group, function, _gather(multiplier, writes))
             found.append((values, group.reads[i], group.reads[j]))
         n = self.w.numel()
         return _matrix(found, n, n)
 
-    def forward(self, direction: ca.MX) -> ca.MX:
-        """Derivative of [ode; alg] along a direction of w, a column."""
+    def forward(self, name: str, direction: ca.MX) -> ca.MX:
+        """Derivative of f along a direction of w, a column."""
         terms = []
-        for group in self.groups:
+        for group, writes in self._writing(name):
             t, w, c = group.kernel.sx_in()
             seed = ca.SX.sym("v", w.numel())
             rate = ca.densify(ca.jtimes(group.kernel(t, w, c), w, seed))
             function = ca.Function("forward", [t, w, c, seed], [rate])
             values = self._mapped(group, function, _gather(direction, group.reads))
-            terms.append(_Term(values, group.writes))
-        return scatter_add(terms, self.outputs["alg"].stop)
+            terms.append(_Term(values, writes))
+        return scatter_add(terms, len(self.outputs[name]))
 
-    def adjoint(self, multiplier: ca.MX) -> ca.MX:
-        """Gradient of multiplier' [ode; alg] by w, a column."""
+    def adjoint(self, name: str, multiplier: ca.MX) -> ca.MX:
+        """Gradient of multiplier' f by w, a column."""
         terms = []
-        for group in self.groups:
+        for group, writes in self._writing(name):
             t, w, c = group.kernel.sx_in()
             scale = ca.SX.sym("l", group.kernel.size1_out(0))
             rate = ca.densify(ca.jtimes(group.kernel(t, w, c), w, scale, True))
             function = ca.Function("adjoint", [t, w, c, scale], [rate])
-            values = self._mapped(group, function, _gather(multiplier, group.writes))
+            values = self._mapped(group, function, _gather(multiplier, writes))
             terms.append(_Term(values, group.reads))
         return scatter_add(terms, int(self.w.numel()))
+
+    def _writing(self, name: str) -> list[tuple[Group, np.ndarray]]:
+        """The groups that write rows of ode, alg or out, and which; -1 for other rows."""
+        pairs = [(g, _within(g.writes, self.outputs[name])) for g in self._groups_of(name)]
+        return [(group, writes) for group, writes in pairs if (writes >= 0).any()]
 
     def _tangents(
         self, group: Group, rows: range, columns: range
@@ -214,7 +225,9 @@ def _within(rows: np.ndarray, part: range) -> np.ndarray:
 
 
 def _gather(column: ca.MX, rows: np.ndarray) -> ca.MX:
-    """Entries of a dense column, instance by instance (n, N)."""
+    """Entries of a dense column, instance by instance (n, N); 0 for row -1."""
+    if (rows < 0).any():
+        column, rows = ca.vertcat(column, 0), np.where(rows < 0, column.numel(), rows)
     return ca.reshape(column.nz[rows.T.reshape(-1).tolist()], *rows.shape)
 
 

@@ -77,6 +77,15 @@ def ground_motion(marker: MarkerOnBody) -> Motion:
     return Motion(Frame(marker.p_BA, marker.R_BA, marker.q_BA), marker.v_BA, marker.w_BA_B)
 
 
+def displaced(motion: Motion, small: Expr, faster: Expr) -> Motion:
+    """A motion changed to first order: translation and turn, velocities; (6, 1), world axes."""
+    p, R, q = motion.frame
+    half = ca.vertcat(1, small[3:] / 2)
+    turn = ca.SX.eye(3) + ca.skew(small[3:])
+    frame = Frame(p + small[:3], turn @ R, quat_product(half, q))
+    return Motion(frame, motion.v_WA + faster[:3], motion.w_WA + faster[3:])
+
+
 def shift_to_body(body: Body, p_BA: Expr, wrench: Wrench) -> Wrench:
     """The wrench at A moved to the centre of mass: force in world axes, torque in body axes."""
     R_BW = body.motion.frame.R_WA.T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -22,7 +23,8 @@ _PROPAGATED = 60  # states left out, up to which their propagator is affordable
 _POINTS = 400  # for it
 _FEW_PARTS = 20
 _MANY_OPERATIONS = 10_000  # of ode; beyond it flat code costs more to build than it gains
-_JACOBIAN = re.compile(r"d(ode|alg|out)_d([xzup])")
+_JACOBIAN = re.compile(r"d(ode|alg|out)_d([txzup])")
+_DIRECTIONAL = re.compile(r"(ode|alg|out)_(hessian|forward|adjoint)")
 
 
 class Growth(NamedTuple):
@@ -40,19 +42,26 @@ class Growth(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A `Dae` with its functions; all take (t, x, z, u, p), a column each.
+    """A `Dae` with its functions; they take (t, x, z, u, p), a column each.
 
-    Names: `ode`, `alg`, `out`, any output such as "joint.force_local", and d<f>_d<v> for f in ode,
-    alg, out and v in x, z, u, p: the exact, sparse Jacobians.
+    Names: `ode`, `alg`, `out`, any output such as "joint.force_local", and for f in ode, alg, out
+
+    - d<f>_d<v>, v in t, x, z, u, p: the exact, sparse Jacobians;
+    - <f>_hessian (t, x, z, u, p, l): second derivatives of l'f by w = [x; z; u; p], sparse, (n_w,
+      n_w), l (rows of f, 1);
+    - <f>_forward (t, x, z, u, p, v): the derivative along v (n_w, 1);
+    - <f>_adjoint (t, x, z, u, p, l): the gradient of l'f by w.
 
     Arguments:
         kernels: functions call one kernel for each kind of part, mapped over its instances;
             otherwise they are flat. The numbers are the same.
+        library: compiled functions, by name, that stand in for ours.
     """
 
     dae: Dae
     reduction: Reduction | None = None
     kernels: bool = False
+    library: Mapping[str, ca.Function] = field(default_factory=dict, repr=False)
     memo: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @property
@@ -131,9 +140,11 @@ class Model:
         return self.dae.output(name)
 
     def function(self, name: str) -> ca.Function:
-        """The CasADi Function (t, x, z, u, p) of that name, built at the first call."""
-        mapped = name in ("ode", "alg", "out") or _JACOBIAN.fullmatch(name)
-        if self.kernels and mapped and name not in self.memo:
+        """The CasADi Function of that name, built at the first call."""
+        if name in self.library:
+            return self.library[name]
+        mapped = self.kernels and (name in ("ode", "alg", "out") or _JACOBIAN.fullmatch(name))
+        if name not in self.memo and (mapped or _DIRECTIONAL.fullmatch(name)):
             self.memo[name] = self.assembly.function(name)
         if name not in self.memo:
             safe, expression = name.replace(".", "_"), self.expression(name)
@@ -142,6 +153,11 @@ class Model:
                 expression = ca.substitute(expression, self.dae.idle_p, ca.DM(defaults))
             self.memo[name] = ca.Function(safe, self.symbols, [expression], list("txzup"), [safe])
         return self.memo[name]
+
+    @property
+    def calls(self) -> bool:
+        """Whether `ode` and `alg` are to be called, since their flat expressions do not pay."""
+        return self.kernels or bool(self.library)
 
     @property
     def assembly(self) -> Assembly:
@@ -159,49 +175,6 @@ class Model:
             arguments = [*self.symbols[:4], ca.vertcat(self.dae.p, self.dae.idle_p)]
             self.memo[key] = ca.Function("measure", arguments, [self.expression(name)])
         return self.memo[key]
-
-    def hessian(self) -> ca.Function:
-        """Second derivatives of l' [ode; alg] by w = [x; z; u; p].
-
-        Function (t, x, z, u, p, l) -> sparse symmetric (n_w, n_w).
-        """
-        return self._directional("hessian", self.n_x + self.n_z)
-
-    def forward(self) -> ca.Function:
-        """Derivative of [ode; alg] along a direction v of w: Function (t, x, z, u, p, v)."""
-        return self._directional("forward", sum((self.n_x, self.n_z, self.n_u, self.n_p)))
-
-    def adjoint(self) -> ca.Function:
-        """Gradient of l' [ode; alg] by w: Function (t, x, z, u, p, l) -> (n_w, 1)."""
-        return self._directional("adjoint", self.n_x + self.n_z)
-
-    def hessian_product(self, name: str) -> ca.Function:
-        """Second derivatives of l'f times a direction, f = ode, alg or out.
-
-        Function (t, x, z, u, p, l, v) -> H v, with H the Hessian of l'f with respect to
-        w = [x; z; u; p] and v (n_w, 1).
-        """
-        key = f"hessian_product {name}"
-        if key not in self.memo:
-            f = self.expression(name)
-            w = ca.vertcat(*self.symbols[1:])
-            multiplier, direction = ca.SX.sym("l", f.numel()), ca.SX.sym("v", w.numel())
-            gradient = ca.jtimes(f, w, multiplier, True)
-            product = ca.jtimes(gradient, w, direction)
-            self.memo[key] = ca.Function(
-                f"{name}_hessian_product", [*self.symbols, multiplier, direction], [product],
-                [*"txzup", "l", "v"], ["product"],
-            )  # fmt: skip
-        return self.memo[key]
-
-    def _directional(self, kind: str, size: int) -> ca.Function:
-        if kind not in self.memo:
-            given = ca.MX.sym("given", size)
-            result = getattr(self.assembly, kind)(given)
-            self.memo[kind] = ca.Function(
-                kind, [*self.assembly.symbols, given], [result], [*"txzup", "given"], [kind]
-            )
-        return self.memo[kind]
 
     @property
     def left_out(self) -> tuple[str, ...]:

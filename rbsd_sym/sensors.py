@@ -73,26 +73,65 @@ BODY_QUANTITIES = (
 )  # fmt: skip
 """Of the body frame's origin, world axes; angular_velocity in body axes."""
 
-# A connector quantity is measured from (response, rate of stored energy, power on the bodies).
-POTENTIAL_ENERGY = Quantity("potential_energy", "J", lambda m: m[0].potential_energy)
+
+class ConnectorView(NamedTuple):
+    """What a connector quantity is measured from.
+
+    Fields:
+        response: strain, force, wrenches, energies.
+        stored_rate: time derivative of the stored energy, and `given` the power on the bodies.
+        by_position, by_velocity: derivatives (12, 12) of the wrenches [f0; tau0; f1; tau1] by
+            small motions of the markers [p0; turn 0; p1; turn 1], and by their velocities.
+    """
+
+    response: Any  # laws.Response
+    stored_rate: ca.SX
+    given: ca.SX
+    by_position: Callable[[], ca.SX]
+    by_velocity: Callable[[], ca.SX]
+
+
+def _connector_vector(name: str, unit: str, measure: Callable[[Any], ca.SX]) -> Quantity:
+    return _vector(name, unit, lambda view: measure(view.response))
+
+
+_ROWS = [f"{kind}{end}{axis}" for end in "01" for kind in ("f", "tau") for axis in _XYZ]
+_COLUMNS = [f"{kind}{end}{axis}" for end in "01" for kind in ("p", "turn") for axis in _XYZ]
+_SQUARE = tuple(f"{row}_{column}" for row in _ROWS for column in _COLUMNS)
+
+POTENTIAL_ENERGY = Quantity("potential_energy", "J", lambda view: view.response.potential_energy)
 
 CONNECTOR_QUANTITIES = (
-    _vector("displacement_local", "m", lambda m: m[0].relative.strain[:3]),
-    _vector("velocity_local", "m/s", lambda m: m[0].relative.rate[:3]),
-    _vector("rotation", "rad", lambda m: m[0].relative.strain[3:]),
-    _vector("angular_velocity_local", "rad/s", lambda m: m[0].relative.rate[3:]),
-    _vector("force_local", "N", lambda m: m[0].force[:3]),
-    _vector("torque_local", "N m", lambda m: m[0].force[3:]),
-    _vector("force0", "N", lambda m: m[0].wrench0.f),
-    _vector("torque0", "N m", lambda m: m[0].wrench0.tau),
-    _vector("force1", "N", lambda m: m[0].wrench1.f),
-    _vector("torque1", "N m", lambda m: m[0].wrench1.tau),
+    _connector_vector("displacement_local", "m", lambda r: r.relative.strain[:3]),
+    _connector_vector("velocity_local", "m/s", lambda r: r.relative.rate[:3]),
+    _connector_vector("rotation", "rad", lambda r: r.relative.strain[3:]),
+    _connector_vector("angular_velocity_local", "rad/s", lambda r: r.relative.rate[3:]),
+    _connector_vector("force_local", "N", lambda r: r.force[:3]),
+    _connector_vector("torque_local", "N m", lambda r: r.force[3:]),
+    _connector_vector("force0", "N", lambda r: r.wrench0.f),
+    _connector_vector("torque0", "N m", lambda r: r.wrench0.tau),
+    _connector_vector("force1", "N", lambda r: r.wrench1.f),
+    _connector_vector("torque1", "N m", lambda r: r.wrench1.tau),
     POTENTIAL_ENERGY,
-    Quantity("dissipated_power", "W", lambda m: m[0].dissipated_power),
+    Quantity("dissipated_power", "W", lambda view: view.response.dissipated_power),
     # What the connector gives beyond what it stores and dissipates: motors, driven offsets (by
     # TIME; Inputs count as held), and the faults of a law that has no potential.
-    Quantity("injected_power", "W", lambda m: m[2] + m[1] + m[0].dissipated_power),
+    Quantity(
+        "injected_power", "W",
+        lambda view: view.given + view.stored_rate + view.response.dissipated_power,
+    ),
+)  # fmt: skip
+
+CONNECTOR_TANGENTS = (
+    Quantity(
+        "tangent_stiffness", "SI", lambda view: -ca.vec(view.by_position().T), _SQUARE, (12, 12)
+    ),
+    Quantity(
+        "tangent_damping", "SI", lambda view: -ca.vec(view.by_velocity().T), _SQUARE, (12, 12)
+    ),
 )
+"""Minus the derivatives of the wrenches on both markers, world axes (see `ConnectorView`), row by
+row: a spring that resists is positive. Turns are small rotations about world axes."""
 
 
 # A scene quantity is measured from (body views, gravity, sum of the connectors' stored energy).

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "rbsd_sym"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = (
-    {"zeros", "version", "spectra", "reduction", "newton"},
+    {"zeros", "version", "spectra", "reduction", "newton", "tableau"},
     {"rotation", "dae", "trajectory", "symbols"},
     {"mechanics", "checks", "kernels"},
     {"laws", "sensors", "user_force", "assembly"},

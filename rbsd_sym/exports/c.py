@@ -28,8 +28,8 @@ def export_c(
 
     Arguments:
         folder: made if needed; files of an earlier export there are replaced.
-        functions: names as in `model.function`; by default ode, alg, out and the Jacobians of ode
-            and alg, as far as they are not empty.
+        functions: names as in `model.function`, those of second derivatives too; by default ode,
+            alg, out and the Jacobians of ode and alg, as far as they are not empty.
 
     Raises:
         ValueError: unknown function, names that collide in C, a folder that cannot be written.
@@ -56,14 +56,11 @@ def _default(model: Model) -> list[str]:
 def _exported(model: Model, name: str) -> Exported:
     function = model.function(name)
     sparse = function.size2_out(0) > 1 or name in _JACOBIANS or name.startswith("dout_d")
-    symbol = names.kernel(model.name, name)
-    if model.kernels:
-        arguments = [ca.MX.sym(kind, function.sparsity_in(i)) for i, kind in enumerate("txzup")]
-        result = function(*arguments)
-    else:
-        arguments, result = model.symbols, function(*model.symbols)
+    symbol, letters = names.kernel(model.name, name), function.name_in()
+    symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    result = function(*symbols)
     expression = result if sparse else ca.densify(result)
-    kernel = ca.Function(symbol, arguments, [expression], list("txzup"), [names.c_name(name)])
+    kernel = ca.Function(symbol, symbols, [expression], letters, [names.c_name(name)])
     return Exported(name, kernel, sparse)
 
 
@@ -106,12 +103,13 @@ def _defaults(model: Model) -> str:
 def _wrapper(model: Model, f: Exported) -> str:
     k, result = f.kernel, names.c_name(f.name)
     lines = [
-        signature(model.name, f.name), "{",
-        f"  const double *arg[{max(5, k.sz_arg())}] = {{0}};",
+        signature(model.name, f), "{",
+        f"  const double *arg[{max(k.n_in(), k.sz_arg())}] = {{0}};",
         f"  double *res[{max(1, k.sz_res())}] = {{0}};",
         f"  casadi_int iw[{max(1, k.sz_iw())}];",
         f"  double w[{max(1, k.sz_w())}];",
         "  arg[0] = &t;", "  arg[1] = x;", "  arg[2] = z;", "  arg[3] = u;", "  arg[4] = p;",
+        *([f"  arg[5] = {f.given};"] if f.given else []),
         f"  res[0] = {result};",
         f"  return {k.name()}(arg, res, iw, w, 0);", "}", "",
     ]  # fmt: skip

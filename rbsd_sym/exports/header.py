@@ -11,9 +11,9 @@ from ..dae import Label
 from ..model import Model
 from . import names
 
-_SIGNATURE = (
-    "double t, const double *x, const double *z, const double *u, const double *p, double *{}"
-)
+_SIGNATURE = "double t, const double *x, const double *z, const double *u, const double *p"
+_WORDS = {"ode": "Rates of the states", "alg": "Algebraic residuals", "out": "Outputs"}
+_GIVEN = {"l": "multipliers l (", "v": "direction v in [x; z; u; p] ("}
 
 
 class Exported(NamedTuple):
@@ -22,6 +22,11 @@ class Exported(NamedTuple):
     name: str
     kernel: ca.Function
     sparse: bool
+
+    @property
+    def given(self) -> str:
+        """Name of the argument after p: multipliers l, a direction v, or none."""
+        return str(self.kernel.name_in(5)) if self.kernel.n_in() > 5 else ""
 
     @property
     def rows(self) -> int:
@@ -39,9 +44,12 @@ class Exported(NamedTuple):
         return int(self.kernel.nnz_out(0))
 
 
-def signature(model: str, name: str) -> str:
+def signature(model: str, f: Exported) -> str:
     """The C declaration of a function, without semicolon."""
-    return f"int {names.function(model, name)}({_SIGNATURE.format(names.c_name(name))})"
+    given = f", const double *{f.given}" if f.given else ""
+    return (
+        f"int {names.function(model, f.name)}({_SIGNATURE}{given}, double *{names.c_name(f.name)})"
+    )
 
 
 def banner(model: Model, text: str) -> str:
@@ -117,31 +125,35 @@ def _declaration(model: Model, f: Exported) -> list[str]:
     n = names.constant(model.name, f.name, "NNZ")
     if not f.sparse:
         return [
-            f"/* {_words(f.name)}: {f.numbers} numbers. */",
-            f"{signature(model.name, f.name)};",
+            f"/* {_words(f)}: {f.numbers} numbers. */",
+            f"{signature(model.name, f)};",
             "",
         ]
     symbol = names.function(model.name, f.name)
     return [
-        f"/* {_words(f.name)}: the {f.numbers} nonzeros of a {f.rows} x {f.columns} matrix, column "
+        f"/* {_words(f)}: the {f.numbers} nonzeros of a {f.rows} x {f.columns} matrix, column "
         "by column.",
         f" * {symbol}_colind()[j] is the first of column j,",
         f" * {symbol}_row()[k] is the row of nonzero k. */",
         f"enum {{ {n} = {f.numbers} }};",
-        f"{signature(model.name, f.name)};",
+        f"{signature(model.name, f)};",
         f"const int *{symbol}_colind(void);",
         f"const int *{symbol}_row(void);", "",
     ]  # fmt: skip
 
 
-def _words(name: str) -> str:
-    if name == "ode":
-        return "Rates of the states"
-    if name == "alg":
-        return "Algebraic residuals"
-    if name == "out":
-        return "Outputs"
-    if name.startswith("d") and "_d" in name:
-        f, _, v = name[1:].rpartition("_d")
-        return f"Jacobian of {f} with respect to {v}"
-    return name
+def _words(f: Exported) -> str:
+    of, _, kind = f.name.partition("_")
+    if f.given:
+        size = f"{_GIVEN[f.given]}{f.kernel.numel_in(5)})"
+        return {
+            "hessian": f"Second derivatives of l'{of} by [x; z; u; p], {size}",
+            "forward": f"Derivative of {of} along a {size}",
+            "adjoint": f"Gradient of l'{of} by [x; z; u; p], {size}",
+        }[kind]
+    if f.name in _WORDS:
+        return _WORDS[f.name]
+    if f.name.startswith("d") and "_d" in f.name:
+        of, _, v = f.name[1:].rpartition("_d")
+        return f"Jacobian of {of} with respect to {v}"
+    return f.name

@@ -20,7 +20,7 @@ from ..model import Model
 from . import names
 from .files import Artefact, read_manifest, sha256
 
-_FLAGS = ("-O2",)
+OPTIMISED = ("-O2",)
 
 
 class CompilerMissing(RuntimeError):
@@ -54,7 +54,7 @@ def load_c(
     source: Artefact | str | os.PathLike[str],
     model: Model | None = None,
     compiler: str | None = None,
-    flags: Sequence[str] = _FLAGS,
+    flags: Sequence[str] = OPTIMISED,
 ) -> Library:
     """Compile a generated folder, if the cache does not hold it yet, and load it.
 
@@ -73,14 +73,9 @@ def load_c(
     manifest = read_manifest(folder)
     _check(folder, manifest, model)
     name = str(manifest["name"])
-    chosen = _compiler(compiler)
-    text = (folder / f"{name}.c").read_bytes() + (folder / f"{name}.h").read_bytes()
-    key = hashlib.sha256(
-        b"\0".join([text, _identity(tuple(chosen)).encode(), " ".join(flags).encode()])
-    ).hexdigest()[:24]
-    library = _cache_folder() / f"{name}-{manifest['digest']}-{key}.so"
-    if not library.exists():
-        _build(folder / f"{name}.c", library, chosen, flags)
+    header, source = ((folder / f"{name}{suffix}").read_text() for suffix in (".h", ".c"))
+    text = source.replace(f'#include "{name}.h"\n', header, 1)
+    library = build(f"{name}-{manifest['digest']}", text, compiler, flags)
     return Library(library, name, str(manifest["digest"]), tuple(manifest["functions"]))
 
 
@@ -105,6 +100,25 @@ def _check(folder: Path, manifest: dict, model: Model | None) -> None:
                 f"{folder}: {name} is not the file that was written (its hash differs); export the "
                 "model again"
             )
+
+
+def build(name: str, text: str, compiler: str | None, flags: Sequence[str]) -> Path:
+    """The shared library of a C text; from the cache, if it holds that of the very same text.
+
+    The key is the text, the compiler with its version, and the flags.
+
+    Raises:
+        CompilerMissing: there is no compiler.
+        RuntimeError: the compiler failed; with its message.
+        ValueError: the cache cannot be written.
+    """
+    chosen = _compiler(compiler)
+    parts = [version.VERSION, str(version.ABI), text, _identity(tuple(chosen)), " ".join(flags)]
+    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
+    library = _cache_folder() / f"{name}-{key}.so"
+    if not library.exists():
+        _build(text, library, chosen, flags)
+    return library
 
 
 def _compiler(compiler: str | None) -> list[str]:
@@ -134,7 +148,7 @@ def _cache_folder() -> Path:
     return Path(chosen) if chosen else Path(base) / "rbsd_sym"
 
 
-def _build(source: Path, library: Path, compiler: list[str], flags: Sequence[str]) -> None:
+def _build(text: str, library: Path, compiler: list[str], flags: Sequence[str]) -> None:
     """Compile under a temporary name and put it in place: half a library is never seen."""
     try:
         library.parent.mkdir(parents=True, exist_ok=True)
@@ -145,19 +159,10 @@ def _build(source: Path, library: Path, compiler: list[str], flags: Sequence[str
             "folder you may write to"
         ) from error
     os.close(handle)
-    command = [
-        *compiler,
-        "-std=c99",
-        "-fPIC",
-        "-shared",
-        *flags,
-        str(source),
-        "-o",
-        temporary,
-        "-lm",
-    ]
+    shared = ["-std=c99", "-fPIC", "-shared"]
+    command = [*compiler, *shared, *flags, "-x", "c", "-", "-o", temporary, "-lm"]
     try:
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        result = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
         if result.returncode:
             raise RuntimeError(f"{' '.join(command)} failed:\n{result.stderr[-2000:]}")
         os.chmod(temporary, 0o755)

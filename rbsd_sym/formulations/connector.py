@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import casadi as ca
@@ -12,8 +12,16 @@ import casadi as ca
 from ..dae import Part
 from ..elements import GROUND, RigidBodySpringDamper
 from ..laws import Law, Response, SpringDamper, respond
-from ..mechanics import Body, MarkerOnBody, Motion, ground_motion, marker_motion, power
-from ..sensors import Quantity
+from ..mechanics import (
+    Body,
+    MarkerOnBody,
+    Motion,
+    displaced,
+    ground_motion,
+    marker_motion,
+    power,
+)
+from ..sensors import ConnectorView, Quantity
 from ..symbols import TIME, to_expr
 from ..user_force import TracedForce
 from .columns import COMPLIANCE, MARKER, compliance_column, marker_column, marker_of
@@ -40,9 +48,10 @@ class Kind:
 
 
 class _Sight(NamedTuple):
-    """What a kernel sees of its connector."""
+    """What a kernel sees of its connector; `respond` answers to other motions of its markers."""
 
     response: Response
+    respond: Callable[..., Response]
     bodies: list[Body]
     markers: list[MarkerOnBody]
     motions: list[Motion]
@@ -138,8 +147,8 @@ class ConnectorWriter:
             ca.reshape(c[k : k + 36], 6, 6), ca.reshape(c[k + 36 : k + 72], 6, 6),
             c[k + 72 : k + 78], c[k + 78 : k + 84], user,
         )  # fmt: skip
-        response = respond(kind.law, numbers, TIME.expr, *motions)
-        return _Sight(response, bodies, markers, motions)
+        answer = partial(respond, kind.law, numbers, TIME.expr)
+        return _Sight(answer(*motions), answer, bodies, markers, motions)
 
     def _build_rates(self, x: ca.SX, c: ca.SX) -> ca.Function:
         sight = self._see(x, c)
@@ -161,5 +170,18 @@ class ConnectorWriter:
         if parts:
             stored_rate += ca.jtimes(energy, x, ca.vertcat(*parts))
         given = power(response.wrench0, motions[0]) + power(response.wrench1, motions[1])
-        value = quantity.measure((response, stored_rate, given))
+        tangents = (partial(_tangent, sight, held) for held in (False, True))
+        value = quantity.measure(ConnectorView(response, stored_rate, given, *tangents))
         return kernel(quantity.name, x, ca.vertcat(c, c_rate), value)
+
+
+def _tangent(sight: _Sight, velocities: bool) -> ca.SX:
+    """Derivative (12, 12) of the wrenches by the markers' small motions, or by their velocities."""
+    step, still = ca.SX.sym("step", 12), ca.SX.zeros(6)
+    moved = [
+        displaced(motion, *((still, part) if velocities else (part, still)))
+        for motion, part in zip(sight.motions, (step[:6], step[6:]), strict=True)
+    ]
+    response = sight.respond(*moved)
+    wrenches = ca.vertcat(*response.wrench0, *response.wrench1)
+    return ca.densify(ca.substitute(ca.jacobian(wrenches, step), step, ca.SX.zeros(12)))

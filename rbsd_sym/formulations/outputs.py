@@ -11,6 +11,7 @@ from ..dae import Output
 from ..sensors import (
     BODY_QUANTITIES,
     CONNECTOR_QUANTITIES,
+    CONNECTOR_TANGENTS,
     SCENE_QUANTITIES,
     BodyView,
     Quantity,
@@ -48,7 +49,7 @@ class OutputWriter:
                     lambda q=q, body=body: (self._of_body(q), body_column(body)),
                 )
         for writer in self.connectors:
-            for q in CONNECTOR_QUANTITIES:
+            for q in (*CONNECTOR_QUANTITIES, *CONNECTOR_TANGENTS):
                 add(
                     writer.connector.name,
                     q,
@@ -63,7 +64,7 @@ class OutputWriter:
     def requested(self, outputs: dict[str, Output]) -> tuple[str, ...]:
         """Names of the outputs in `out`: those the scene asks for, or all of a small scene.
 
-        All of it but what belongs to connectors that are not active.
+        All of it but tangents, and what belongs to connectors that are not active.
 
         Raises:
             ValueError: an unknown name.
@@ -72,7 +73,11 @@ class OutputWriter:
         if scene.outputs is None:
             small = len(scene.bodies) + len(scene.connectors) <= _ALL_UP_TO
             idle = {c.name for c in scene.connectors if not c.active}
-            return tuple(n for n in outputs if n.split(".")[0] not in idle) if small else ()
+            asked = {q.name for q in CONNECTOR_TANGENTS}
+            return tuple(
+                name for name in outputs
+                if small and name.split(".")[0] not in idle and name.split(".")[-1] not in asked
+            )  # fmt: skip
         for name in scene.outputs:
             if name not in outputs:
                 owner = str(name).split(".")[0]

@@ -113,7 +113,7 @@ def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str,
     constant = [dae.u[i] for i, s in enumerate(inputs) if is_constant(s)]
     p = ca.vertcat(dae.p, *constant)
     all_traced = all(e is not None or is_constant(s) for s, e in zip(inputs, traced, strict=True))
-    if all_traced and not model.kernels:
+    if all_traced and not model.calls:
         u = ca.vertcat(ca.SX(0, 1), *(
             dae.u[i] if expr is None else expr for i, expr in enumerate(traced)))  # fmt: skip
         ode, alg = ca.substitute([dae.ode, dae.alg], [dae.u], [u])
