@@ -1,0 +1,1 @@
+"""Runners of other multibody programs on our scenes, for benchmarks: optional, never required."""
