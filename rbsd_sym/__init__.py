@@ -3,11 +3,21 @@
 The file to read first is `pipeline.py`.
 """
 
-from . import plots
+from . import plots, study
 from .elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
-from .exports import Artefact, CompilerMissing, Library, compiled, export_c, load_c
+from .exports import (
+    Artefact,
+    CompilerMissing,
+    Library,
+    Simulator,
+    compiled,
+    export_c,
+    export_simulator,
+    load_c,
+    load_simulator,
+)
 from .formulations import ModelWarning, Quaternion, TaitBryan
-from .integrators import ExplicitRK, Idas, Rosenbrock
+from .integrators import Dop853, ExplicitRK, Idas, Rosenbrock
 from .laws import Consistent, Intrinsic, Standard
 from .model import Model
 from .pipeline import IntegrationError, compile_scene, simulate
@@ -22,6 +32,7 @@ __all__ = [
     "Artefact",
     "CompilerMissing",
     "Consistent",
+    "Dop853",
     "ExplicitRK",
     "Idas",
     "Input",
@@ -39,6 +50,7 @@ __all__ = [
     "RigidBodySpringDamper",
     "Rosenbrock",
     "Scene",
+    "Simulator",
     "Standard",
     "TaitBryan",
     "Trajectory",
@@ -46,8 +58,11 @@ __all__ = [
     "compile_scene",
     "compiled",
     "export_c",
+    "export_simulator",
     "load_c",
+    "load_simulator",
     "plots",
     "simulate",
+    "study",
     "where",
 ]

@@ -4,5 +4,10 @@ from .c import export_c
 from .compiled import compiled
 from .files import Artefact
 from .load import CompilerMissing, Library, load_c
+from .simulate import Simulator, load_simulator
+from .simulator import export_simulator
 
-__all__ = ["Artefact", "CompilerMissing", "Library", "compiled", "export_c", "load_c"]
+__all__ = [
+    "Artefact", "CompilerMissing", "Library", "Simulator", "compiled", "export_c",
+    "export_simulator", "load_c", "load_simulator",
+]  # fmt: skip

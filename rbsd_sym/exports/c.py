@@ -76,15 +76,17 @@ def source_text(model: Model, functions: list[Exported]) -> str:
         '#pragma GCC diagnostic ignored "-Wunused-parameter" /* of CasADi\'s common signature */\n'
         "#endif\n",
         generator.dump(),
-        _defaults(model),
+        defaults_signature(model.name),
+        defaults_body(model),
         *(_wrapper(model, f) for f in functions),
     ]
     return "\n".join(parts)
 
 
-def _defaults(model: Model) -> str:
+def defaults_body(model: Model) -> str:
+    """Body of the C function that fills start and default values."""
     dae = model.dae
-    lines = [defaults_signature(model.name), "{"]
+    lines = ["{"]
     for kind in "xzup":
         labels = getattr(dae, f"{kind}_labels")
         if not labels:
@@ -100,21 +102,25 @@ def _defaults(model: Model) -> str:
     return "\n".join([*lines, "}", ""])
 
 
-def _wrapper(model: Model, f: Exported) -> str:
-    k, result = f.kernel, names.c_name(f.name)
-    lines = [
-        signature(model.name, f), "{",
-        f"  const double *arg[{max(k.n_in(), k.sz_arg())}] = {{0}};",
-        f"  double *res[{max(1, k.sz_res())}] = {{0}};",
-        f"  casadi_int iw[{max(1, k.sz_iw())}];",
-        f"  double w[{max(1, k.sz_w())}];",
+def call_lines(kernel: ca.Function, result: str, given: str) -> list[str]:
+    """Body of a C function (t, x, z, u, p, given, result) around CasADi's own."""
+    return [
+        "{",
+        f"  const double *arg[{max(kernel.n_in(), kernel.sz_arg())}] = {{0}};",
+        f"  double *res[{max(1, kernel.sz_res())}] = {{0}};",
+        f"  casadi_int iw[{max(1, kernel.sz_iw())}];",
+        f"  double w[{max(1, kernel.sz_w())}];",
         "  arg[0] = &t;", "  arg[1] = x;", "  arg[2] = z;", "  arg[3] = u;", "  arg[4] = p;",
-        *([f"  arg[5] = {f.given};"] if f.given else []),
+        *([f"  arg[5] = {given};"] if given else []),
         f"  res[0] = {result};",
-        f"  return {k.name()}(arg, res, iw, w, 0);", "}", "",
+        f"  return {kernel.name()}(arg, res, iw, w, 0);", "}", "",
     ]  # fmt: skip
+
+
+def _wrapper(model: Model, f: Exported) -> str:
+    lines = [signature(model.name, f), *call_lines(f.kernel, names.c_name(f.name), f.given)]
     if f.sparse:
-        pattern = k.sparsity_out(0)
+        pattern = f.kernel.sparsity_out(0)
         for what, values in (("colind", pattern.colind()), ("row", pattern.row())):
             numbers = ", ".join(str(value) for value in values) or "0"
             lines += [

@@ -88,7 +88,13 @@ def _refuse_foreign(folder: Path, texts: Mapping[str, str]) -> None:
     there = [name for name in texts if (folder / name).exists()]
     if not there:
         return
-    ours = read_manifest(folder)["files"] if (folder / MANIFEST).exists() else {}
+    ours = {}
+    if (folder / MANIFEST).exists():
+        before = read_manifest(folder)
+        ours = before["files"]
+        kind, now = (m.get("kind", "model") for m in (before, json.loads(texts[MANIFEST])))
+        if kind != now:
+            raise ValueError(f"{folder}: holds a {kind}, not a {now}; choose another folder")
     foreign = [name for name in there if name not in ours and name != MANIFEST]
     if foreign:
         raise ValueError(

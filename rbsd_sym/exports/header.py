@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import casadi as ca
@@ -73,7 +74,7 @@ def header_text(model: Model, functions: list[Exported]) -> str:
         f'#define {names.constant(name, "DIGEST")} "{model.digest}"',
         f"#define {names.constant(name, 'ABI')} {version.ABI}", "",
         "/* Sizes. */",
-        *_enum((names.constant(name, f"N_{kind.upper()}"), getattr(dae, kind).numel(), "")
+        *enum_lines((names.constant(name, f"N_{kind.upper()}"), getattr(dae, kind).numel(), "")
                for kind in ("x", "z", "u", "p", "out")), "",
     ]  # fmt: skip
     for kind, title, labels in (
@@ -83,7 +84,7 @@ def header_text(model: Model, functions: list[Exported]) -> str:
         ("p", "Parameters: unit, default value.", dae.p_labels),
         ("out", "Outputs: unit.", dae.out_labels),
     ):
-        lines += _indices(name, kind, title, labels)
+        lines += index_lines(name, kind, title, labels)
     lines += [
         "/* Every function returns 0 on success. Arguments: time t (s), states x, algebraic",
         " * unknowns z, inputs u, parameters p; an array of size 0 may be NULL. No allocation, no",
@@ -102,15 +103,17 @@ def defaults_signature(name: str) -> str:
     return f"void {name}_defaults(double *x, double *z, double *u, double *p)"
 
 
-def _enum(rows: object) -> list[str]:
-    body = [f"  {name} = {value},{comment}" for name, value, comment in rows]  # type: ignore[attr-defined]
+def enum_lines(rows: Iterable[tuple[str, int, str]]) -> list[str]:
+    """An enum of names and values, each with its comment."""
+    body = [f"  {name} = {value},{comment}" for name, value, comment in rows]
     if not body:
         return []
     head, _, comment = body[-1].partition(",")
     return ["enum {", *body[:-1], head + comment, "};"]
 
 
-def _indices(model: str, kind: str, title: str, labels: tuple[Label, ...]) -> list[str]:
+def index_lines(model: str, kind: str, title: str, labels: tuple[Label, ...]) -> list[str]:
+    """An enum of the indices of labels, with units and start values."""
     if not labels:
         return []
     values = [f", {label.start!r}" if kind != "out" else "" for label in labels]
@@ -118,7 +121,7 @@ def _indices(model: str, kind: str, title: str, labels: tuple[Label, ...]) -> li
         (constant, i, f" /* {label.name} [{label.unit or '1'}]{values[i]} */")
         for i, (constant, label) in enumerate(names.indices(model, kind, labels))
     )
-    return [f"/* {title} */", *_enum(rows), ""]
+    return [f"/* {title} */", *enum_lines(rows), ""]
 
 
 def _declaration(model: Model, f: Exported) -> list[str]:

@@ -71,15 +71,20 @@ def load_c(
     """
     folder = source.folder if isinstance(source, Artefact) else Path(source)
     manifest = read_manifest(folder)
-    _check(folder, manifest, model)
+    if manifest.get("kind", "model") != "model":
+        raise ValueError(f"{folder}: holds a {manifest['kind']}; use load_simulator")
     name = str(manifest["name"])
-    header, source = ((folder / f"{name}{suffix}").read_text() for suffix in (".h", ".c"))
-    text = source.replace(f'#include "{name}.h"\n', header, 1)
+    text = check_folder(folder, manifest, name, model)
     library = build(f"{name}-{manifest['digest']}", text, compiler, flags)
     return Library(library, name, str(manifest["digest"]), tuple(manifest["functions"]))
 
 
-def _check(folder: Path, manifest: dict, model: Model | None) -> None:
+def check_folder(folder: Path, manifest: dict, file: str, model: Model | None) -> str:
+    """The text to compile: <file>.c with <file>.h in it, if both are what was written.
+
+    Raises:
+        ValueError: they are not, or of another model or ABI.
+    """
     if manifest["abi"] != version.ABI:
         raise ValueError(
             f"{folder}: written for ABI {manifest['abi']}, this version has {version.ABI}; export "
@@ -90,9 +95,10 @@ def _check(folder: Path, manifest: dict, model: Model | None) -> None:
             f"{folder}: library model {manifest['digest']} does not match model {model.digest}; "
             "run export_c(model, folder) again"
         )
-    for name in (f"{manifest['name']}.c", f"{manifest['name']}.h"):
+    texts = {}
+    for name in (f"{file}.c", f"{file}.h"):
         try:
-            text = (folder / name).read_text()
+            texts[name] = text = (folder / name).read_text()
         except OSError as error:
             raise ValueError(f"{folder}: {name} is missing; export the model again") from error
         if sha256(text) != manifest["files"].get(name):
@@ -100,6 +106,8 @@ def _check(folder: Path, manifest: dict, model: Model | None) -> None:
                 f"{folder}: {name} is not the file that was written (its hash differs); export the "
                 "model again"
             )
+    header = texts[f"{file}.h"]
+    return texts[f"{file}.c"].replace(f'#include "{file}.h"\n', header, 1)
 
 
 def build(name: str, text: str, compiler: str | None, flags: Sequence[str]) -> Path:

@@ -181,12 +181,22 @@ def _trajectory(
     known = verdict.t is not None and verdict.t >= t_last
     t_fail = verdict.t if known else t_last
     stats["t_failed"] = float(t_fail or t_last)
-    where = _fastest(model, experiment, result.x[n - 1], result.z[n - 1], t_last)
-    report = (
-        f"{verdict.outcome.value} {'at' if known else 'after'} t = {t_fail:.9g} s; last saved "
-        f"state at t = {t_last:.9g} s, {where}; {verdict.advice}"
+    x, z = result.x[:n], result.z[:n]
+    report = failure_report(
+        model, experiment, x, z, verdict.outcome, t_fail if known else None, verdict.advice
     )
-    return assemble(model, experiment, result.x[:n], result.z[:n], verdict.outcome, report, stats)
+    return assemble(model, experiment, x, z, verdict.outcome, report, stats)
+
+
+def failure_report(
+    model: Model, e: Experiment, x: np.ndarray, z: np.ndarray, outcome: Outcome,
+    t_fail: float | None, advice: str,
+) -> str:  # fmt: skip
+    """The full sentence about a run that failed: where, what state, what to do."""
+    t_last = float(e.t[max(len(x), 1) - 1])
+    at = f"after t = {t_last:.9g} s" if t_fail is None else f"at t = {t_fail:.9g} s"
+    where = _fastest(model, e, x[-1], z[-1], t_last)
+    return f"{outcome.value} {at}; last saved state at t = {t_last:.9g} s, {where}; {advice}"
 
 
 def _fastest(model: Model, e: Experiment, x: np.ndarray, z: np.ndarray, t: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from ..model import Model
 from ..trajectory import Experiment, Trajectory
@@ -28,18 +28,24 @@ class Rosenbrock:
     max_steps: int = 100_000
     max_step: float | None = None
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    plugin: ClassVar[str] = "rosenbrock"
+    solves_algebraic: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_options(self)
 
-    def solve(self, model: Model, experiment: Experiment) -> Trajectory:
-        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""
-        options: dict[str, Any] = {
-            "reltol": self.rtol, "abstol": self.atol, "max_num_steps": self.max_steps,
-        }  # fmt: skip
+    @property
+    def casadi_options(self) -> Mapping[str, Any]:
+        """Options of the plugin, without the tolerances."""
+        options: dict[str, Any] = {"max_num_steps": self.max_steps}
         if self.max_step:
             options["max_step_size"] = self.max_step
+        return options | dict(self.options)
+
+    def solve(self, model: Model, experiment: Experiment) -> Trajectory:
+        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""
+        options = {"reltol": self.rtol, "abstol": self.atol, **self.casadi_options}
         count = {"steps": "n_steps", "evaluations": "n_rhs", "jacobians": "n_jac",
                  "rejected_steps": "n_reject"}  # fmt: skip
         judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731
-        return run(model, experiment, "rosenbrock", options | dict(self.options), judge, count)
+        return run(model, experiment, self.plugin, options, judge, count)

@@ -1,0 +1,187 @@
+"""An exported simulator, compiled and called from Python: one call is one whole simulation."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..model import Model
+from ..trajectory import Column, Outcome, Trajectory
+from .files import Artefact, read_manifest
+from .load import OPTIMISED, build, check_folder
+from .simulator import SIMULATOR
+
+_OUTCOMES = (
+    Outcome.reached_end, Outcome.solver_failed, Outcome.too_many_steps, Outcome.step_too_small,
+    Outcome.not_finite, Outcome.not_consistent,
+)  # fmt: skip
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+class _Stats(ctypes.Structure):
+    _fields_ = (("t", ctypes.c_double), ("last_step", ctypes.c_double), ("steps", ctypes.c_long),
+                ("rejected", ctypes.c_long), ("evaluations", ctypes.c_long))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """A compiled simulator; it can be sent to other processes of the same machine.
+
+    Arguments:
+        labels: name, unit and start value of each entry of x, z, u and p.
+        rtol, atol: used where a call gives none.
+    """
+
+    path: Path
+    name: str
+    digest: str
+    labels: Mapping[str, Sequence[tuple[str, str, float]]]
+    rtol: float
+    atol: float
+    model: Model | None = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "model": None}
+
+    def __call__(
+        self,
+        t_end: float,
+        start: Mapping[str, float] | None = None,
+        params: Mapping[str, float] | None = None,
+        inputs: Mapping[str, Any] | None = None,
+        points: int = 200,
+        t_start: float = 0.0,
+        rtol: float | None = None,
+        atol: float | None = None,
+    ) -> Trajectory:
+        """Simulate; a failure is data in `outcome`.
+
+        Arguments:
+            start, params: values by name; the others keep their default.
+            inputs: by name: a number, or samples (times, values), linear between them.
+            points: saved after the start, equally spaced.
+
+        Raises:
+            ValueError: unknown names, values that make no sense.
+        """
+        x, p = self._values("x", start or {}), self._values("p", params or {})
+        times, u = self._samples(inputs or {})
+        tolerances = (self.rtol if rtol is None else rtol, self.atol if atol is None else atol)
+        n = len(self.labels["x"]) + len(self.labels["z"])
+        out, stats = np.full((points, n), np.nan), _Stats()
+        function = getattr(ctypes.CDLL(str(self.path)), f"{self.name}_simulate_sampled")
+        code = function(
+            ctypes.c_double(t_start), ctypes.c_double(t_end), _pointer(x),
+            ctypes.c_int(len(times)), _pointer(times), _pointer(u), _pointer(p),
+            *map(ctypes.c_double, tolerances), ctypes.c_int(points), _pointer(out),
+            ctypes.byref(stats),
+        )  # fmt: skip
+        if code == 1:
+            raise ValueError(
+                f"simulator '{self.name}': from {t_start} to {t_end} s, {points} points, "
+                f"rtol, atol {tolerances}; times increase, points and tolerances are above 0"
+            )
+        t = np.append(t_start, t_start + (t_end - t_start) * np.arange(1, points + 1) / points)
+        return self._trajectory(t, x, out, times, u, p, code, stats)
+
+    def _values(self, kind: str, given: Mapping[str, float]) -> np.ndarray:
+        names = [name for name, _, _ in self.labels[kind]]
+        values = np.array([start for _, _, start in self.labels[kind]], float)
+        for name, value in given.items():
+            if name not in names:
+                raise ValueError(
+                    f"simulator '{self.name}': no {name!r} among {', '.join(names) or 'none'}"
+                )
+            values[names.index(name)] = value
+        return values
+
+    def _samples(self, inputs: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n,) of all samples and values (n, n_u) there."""
+        constant = {k: v for k, v in inputs.items() if np.ndim(v) == 0}
+        base = self._values("u", constant | dict.fromkeys(set(inputs) - set(constant), 0.0))
+        sampled = {k: tuple(np.array(part, float) for part in v)
+                   for k, v in inputs.items() if k not in constant}  # fmt: skip
+        if not sampled:
+            return np.zeros(1), base[None, :].copy()
+        for name, value in sampled.items():
+            good = len(value) == 2 and value[0].ndim == 1 and value[0].shape == value[1].shape
+            if not (good and len(value[0]) > 1 and (np.diff(value[0]) > 0).all()):
+                raise ValueError(
+                    f"simulator '{self.name}', input '{name}': give a number or samples (times, "
+                    "values) of one length of at least 2, times increasing"
+                )
+        times = np.unique(np.concatenate([t for t, _ in sampled.values()]))
+        u = np.repeat(base[None, :], len(times), axis=0)
+        names = [name for name, _, _ in self.labels["u"]]
+        for name, (t, values) in sampled.items():
+            u[:, names.index(name)] = np.interp(times, t, values)
+        return times, np.ascontiguousarray(u)
+
+    def _trajectory(
+        self, t: np.ndarray, x: np.ndarray, out: np.ndarray, times: np.ndarray, u: np.ndarray,
+        p: np.ndarray, code: int, stats: _Stats,
+    ) -> Trajectory:  # fmt: skip
+        z = np.full(len(self.labels["z"]), np.nan)
+        rows = np.vstack([np.concatenate([x, z]), out])
+        if len(z):
+            rows[0, len(x) :] = out[0, len(x) :]
+        reached = t <= stats.t * (1 + 1e-14) if code else np.full(len(t), True)
+        n = max(1, int(reached.sum()))
+        names = [*self.labels["x"], *self.labels["z"]]
+        columns = {name: Column(rows[:n, i], unit) for i, (name, unit, _) in enumerate(names)}
+        for i, (name, unit, _) in enumerate(self.labels["u"]):
+            columns[name] = Column(np.interp(t[:n], times, u[:, i]), unit)
+        outcome = _OUTCOMES[code]
+        report = outcome.value if outcome.ok else f"{outcome.value} at t = {stats.t:.9g} s"
+        numbers = {"steps": float(stats.steps), "rejected_steps": float(stats.rejected),
+                   "evaluations": float(stats.evaluations)}  # fmt: skip
+        parameters = {name: float(v) for (name, _, _), v in zip(self.labels["p"], p, strict=True)}
+        return Trajectory(
+            self.name, t[:n], columns, outcome, report, numbers, parameters,
+            tuple(name for name, _, _ in names), self.digest,
+            self.model.measure if self.model else None,
+            self.model.left_out if self.model else (),
+        )  # fmt: skip
+
+
+def _pointer(values: np.ndarray) -> Any:
+    return values.ctypes.data_as(_DOUBLES)
+
+
+def load_simulator(
+    source: Artefact | str | os.PathLike[str],
+    model: Model | None = None,
+    compiler: str | None = None,
+    flags: Sequence[str] = OPTIMISED,
+) -> Simulator:
+    """Compile what `export_simulator` wrote, if the cache does not hold it yet, and load it.
+
+    Arguments:
+        source: what `export_simulator` gave, or its folder.
+        model: if given, the folder must be of this very model, and trajectories have its outputs.
+        compiler, flags: as in `load_c`.
+
+    Raises:
+        ValueError: the folder is stale, damaged, no simulator, or of another model or ABI.
+        CompilerMissing: there is no compiler.
+        RuntimeError: the compiler failed; with its message.
+    """
+    folder = source.folder if isinstance(source, Artefact) else Path(source)
+    manifest = read_manifest(folder)
+    if manifest.get("kind") != SIMULATOR:
+        raise ValueError(f"{folder}: no simulator; use load_c, or export_simulator first")
+    name = str(manifest["name"])
+    text = check_folder(folder, manifest, f"{name}_simulate", model)
+    path = build(f"{name}_simulate-{manifest['digest']}", text, compiler, flags)
+    labels = {kind: tuple((str(n), str(unit), float(start)) for n, unit, start in rows)
+              for kind, rows in manifest["labels"].items()}  # fmt: skip
+    return Simulator(
+        path, name, str(manifest["digest"]), labels, float(manifest["rtol"]),
+        float(manifest["atol"]), model,
+    )  # fmt: skip

@@ -1,0 +1,69 @@
+"""CasADi's generated Rosenbrock and explicit methods, with what it fixes made arguments."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import casadi as ca
+
+from ..model import Model
+from .simulator_texts import simulator_file, simulator_marks, template
+
+
+def casadi_text(model: Model, integrator: Any) -> str:
+    """The source: CasADi's integrator over [0, 1]; times, inputs, tolerances are its parameters."""
+    n_q = model.n_p + 2 * model.n_u + 5
+    symbol = ca.SX if not model.calls and model.function("ode").is_a("SXFunction") else ca.MX
+    s, q = symbol.sym("s"), symbol.sym("q", n_q)
+    x, z = symbol.sym("x", model.n_x), symbol.sym("z", model.n_z)
+    p, first, last, more = ca.vertsplit(
+        q, [0, model.n_p, model.n_p + model.n_u, model.n_p + 2 * model.n_u, n_q]
+    )
+    arguments = (more[0] + s * more[1], x, z, first + s * (last - first), p)
+    dae = {"t": s, "x": x, "z": z, "p": q, "ode": more[1] * model.function("ode")(*arguments),
+           "alg": model.function("alg")(*arguments)}  # fmt: skip
+    options = dict(integrator.casadi_options) | {"reltol": 1e-6, "abstol": 1e-8}
+    run = ca.integrator(f"{model.name}_sim_run", integrator.plugin, dae, 0.0, [1.0], options)
+    generator = ca.CodeGenerator(f"{model.name}_sim_casadi")
+    generator.add(run)
+    text = _at_run_time(str(generator.dump()), n_q - 3)
+    sizes = {f"SZ_{key.upper()}": _size(text, run.name(), key) for key in ("arg", "res", "iw", "w")}
+    marks = simulator_marks(model, integrator) | sizes | {"N_Q": n_q, "N_X": model.n_x}
+    files = ("simulator_common", "simulator_casadi", "simulator_constant")
+    return simulator_file(model, text, [template(f"{file}.c", marks) for file in files])
+
+
+def _at_run_time(text: str, place: int) -> str:
+    """Tolerances and steps from q[place - 1 ...], and a report to the idle result of quadratures.
+
+    CasADi writes them as numbers, each on a line of its own.
+
+    Raises:
+        RuntimeError: this version of CasADi writes its integrators in another way.
+    """
+    report = (
+        "d.t, (casadi_real)d.n_steps, (casadi_real)d.n_reject, (casadi_real)d.n_rhs, d.h_next, d.h"
+    )
+    copies = " ".join(f"res[2][{i}] = {v};" for i, v in enumerate(report.split(", ")))
+    for pattern, new in (
+        (r"  p\.reltol = [^;]+;", f"  p.reltol = arg[2][{place}];"),
+        (r"  p\.abstol = [^;]+;", f"  p.abstol = arg[2][{place + 1}];"),
+        (r"  p\.h_max = ([^;]+);", rf"  p.h_max = \1 / arg[2][{place - 1}];"),
+        (r"  p\.h_init = [^;]+;", f"  p.h_init = arg[2][{place + 2}];"),
+        (
+            r"      if \(d\.status != IVP_SUCCESS\) return 1;",
+            f"      if (res[2]) {{ {copies} }}\n      if (d.status != IVP_SUCCESS) return 1;",
+        ),
+    ):
+        text, count = re.subn(pattern, new, text)
+        if count != 1:
+            raise RuntimeError(
+                f"CasADi {ca.CasadiMeta.version()} writes its integrators differently; use 3.8.2"
+            )
+    return text
+
+
+def _size(text: str, function: str, key: str) -> str:
+    match = re.search(rf"int {function}_work\([^)]*\) {{.*?\*sz_{key} = (\d+);", text, re.S)
+    return match[1] if match and match[1] != "0" else "1"

@@ -1,0 +1,121 @@
+"""Header, card and example of an exported simulator."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib import resources
+from typing import Any
+
+from .. import version
+from ..model import Model
+from . import names
+from .c import defaults_body
+from .header import banner, enum_lines, index_lines
+
+
+def simulator_name(model: Model) -> str:
+    """Name of the files, and of the main function."""
+    return f"{model.name}_simulate"
+
+
+def template(file: str, marks: Mapping[str, Any]) -> str:
+    """The text of a template with its marks replaced."""
+    text = resources.files(__package__).joinpath(f"{file}.in").read_text()
+    return re.sub(r"@(\w+)@", lambda match: str(marks[match[1]]), text)
+
+
+def simulator_marks(model: Model, integrator: Any) -> dict[str, Any]:
+    """What all C templates need."""
+    rows = model.n_x + model.n_z
+    return {
+        "name": model.name, "NAME": names.constant(model.name, "sim"), "N": rows,
+        "N_U": max(1, model.n_u), "N_P": max(1, model.n_p),
+        "N_W": rows + model.n_u + model.n_p, "MAX_STEPS": integrator.max_steps,
+    }  # fmt: skip
+
+
+def simulator_file(model: Model, code: str, parts: list[str]) -> str:
+    """The source: CasADi's code, start values, and the parts of the method."""
+    title = f"{simulator_name(model)}.c: a model and the method that integrates it"
+    return "\n".join([
+        banner(model, title),
+        f'#include "{simulator_name(model)}.h"\n',
+        "#include <float.h>\n#include <math.h>\n#include <stddef.h>\n#include <string.h>\n",
+        "#if defined(__GNUC__)\n"
+        '#pragma GCC diagnostic ignored "-Wunused-parameter" /* of CasADi\'s common signature */\n'
+        "#endif\n",
+        code,
+        f"void {model.name}_simulate_defaults(double *x, double *z, double *u, double *p)",
+        defaults_body(model),
+        *parts,
+    ])  # fmt: skip
+
+
+def header_text(model: Model, integrator: Any, sensitivities: bool) -> str:
+    """The text of <name>_simulate.h."""
+    upper, dae, rows = names.constant(model.name, "sim"), model.dae, model.n_x + model.n_z
+    groups = (("x", "States: unit, start value.", dae.x_labels),
+              ("z", "Algebraic unknowns: unit, start value.", dae.z_labels),
+              ("u", "Inputs: unit, default value.", dae.u_labels),
+              ("p", "Parameters: unit, default value.", dae.p_labels))  # fmt: skip
+    sizes = [(f"{upper}_N_{kind.upper()}", len(labels), "") for kind, _, labels in groups]
+    indices = [line for group in groups for line in index_lines(f"{model.name}_sim", *group)]
+    marks = {
+        "name": model.name, "NAME": upper, "SIZES": "\n".join(enum_lines(sizes)),
+        "INDICES": "\n".join(indices), "N_X": model.n_x, "N_U": model.n_u, "N_P": model.n_p,
+        "N": rows, "N_W": rows + model.n_u + model.n_p, "N_ROW": rows + 2,
+        "RTOL": integrator.rtol, "ATOL": integrator.atol, "STACK": _about(30 * 8 * rows),
+        "ROWS": "states, then the algebraic unknowns," if model.n_z else "states",
+        "SENSITIVITIES": "",
+    }  # fmt: skip
+    if sensitivities:
+        marks["SENSITIVITIES"] = template("simulate_sensitivity.h", marks)
+    title = f"{simulator_name(model)}.h: the scene integrated by {type(integrator).__name__}"
+    return banner(model, title) + template("simulate.h", marks)
+
+
+def _about(count: int) -> int:
+    """Rounded up to one digit."""
+    size = 10 ** (len(str(count)) - 1)
+    return -(-count // size) * size
+
+
+def example_text(model: Model, integrator: Any) -> str:
+    """A program that simulates one second and prints the state at its end."""
+    name, upper = simulator_name(model), names.constant(model.name, "sim")
+    rows = f"{upper}_N_X + {upper}_N_Z"
+    return "\n".join([
+        banner(model, "example.c: one second from the start values"),
+        f"/* Build and run: cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example */",
+        "#include <stdio.h>", f'#include "{name}.h"', "", "int main(void)", "{",
+        f"  double end[{rows}];",
+        f"  {model.name}_stats stats;",
+        f"  const int code = {name}(0.0, 1.0, NULL, NULL, NULL, {integrator.rtol!r}, "
+        f"{integrator.atol!r}, 1, end, &stats);",
+        '  printf("code %d at t = %.17g after %ld steps\\n", code, stats.t, stats.steps);',
+        "  if (code) return code;",
+        f'  for (int i = 0; i < {rows}; ++i) printf("%d %.17g\\n", i, end[i]);',
+        "  return 0;", "}", "",
+    ])  # fmt: skip
+
+
+def card_text(model: Model, integrator: Any, sensitivities: bool) -> str:
+    """The text of README.md."""
+    name, method = simulator_name(model), type(integrator).__name__
+    more = ", sensitivities=True" if sensitivities else ""
+    lines = [
+        f"# {name}", "",
+        f"A scene of rigid bodies and 6-DOF spring-dampers with the method that integrates it, "
+        f"{method}, in one C file without dependencies, written by rbsd_sym {version.VERSION}. "
+        f"Digest `{model.digest}`.", "",
+        f"{model.n_x} states, {model.n_z} algebraic unknowns, {model.n_u} inputs, {model.n_p} "
+        "parameters.", "", "## Use", "", "```sh",
+        f"cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example", "```", "",
+        f"`{name}.h` is the contract. To write this folder again:", "", "```python",
+        "import rbsd_sym as rs",
+        f"rs.export_simulator(rs.compile_scene(scene), folder, rs.{method}(){more})", "```", "",
+        f"Tolerances, times and inputs are arguments; at most {integrator.max_steps} steps"
+        + (" between two points." if integrator.plugin else " in all."), "",
+    ]  # fmt: skip
+    return "\n".join(lines)

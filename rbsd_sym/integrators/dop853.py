@@ -1,0 +1,188 @@
+"""DOP853: explicit Runge-Kutta of order 8, dense output of order 7, for ODEs that are not stiff."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..model import Model
+from ..tableau import E3, E5, A, C, D
+from ..trajectory import Experiment, Outcome, Trajectory
+from .checks import check_options
+from .driver import assemble, failure_report, input_values
+from .signals import is_constant
+
+_EPSILON = float(np.finfo(float).eps)
+_ADVICE = {
+    Outcome.too_many_steps: "raise max_steps, loosen the tolerances, or for stiff connectors use "
+    "Idas() or Rosenbrock()",
+    Outcome.step_too_small: "look for a singularity or a discontinuity there",
+    Outcome.not_finite: "check parameters and start values",
+}
+
+
+@dataclass(frozen=True)
+class Dop853:
+    """Order 8(5, 3) [Hairer, Norsett, Wanner 1993, sec. II.10]; stiff connectors bind its step.
+
+    The method of choice for damped or slow scenes at errors below 1e-4. `export_simulator` writes
+    the same steps in C; here they are taken in Python, at some 20 us each plus 12 calls of `ode`.
+
+    Arguments:
+        rtol, atol: relative and absolute local error of each state.
+        max_steps: in all, those rejected too.
+    """
+
+    rtol: float = 1e-8
+    atol: float = 1e-10
+    max_steps: int = 1_000_000
+    plugin: ClassVar[str] = ""
+    solves_algebraic: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    @property
+    def casadi_options(self) -> Mapping[str, Any]:
+        """None: CasADi has no part in it."""
+        return {}
+
+    def solve(self, model: Model, experiment: Experiment) -> Trajectory:
+        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.
+
+        Raises:
+            ValueError: the model has algebraic unknowns.
+        """
+        if model.n_z:
+            raise ValueError(
+                f"model '{model.name}': {model.n_z} algebraic unknowns; an explicit method "
+                "integrates ODEs only; use Idas() or Rosenbrock()"
+            )
+        started = time.perf_counter()
+        rates, run = _Rates(model, experiment), _Run(experiment)
+        with np.errstate(over="ignore", invalid="ignore"):
+            outcome = self._integrate(rates, run) if model.n_x else Outcome.reached_end
+        stats = {
+            "steps": float(run.steps), "evaluations": float(rates.count),
+            "rejected_steps": float(run.rejected), "time": time.perf_counter() - started,
+        }  # fmt: skip
+        n, report = len(experiment.t) if outcome.ok else run.saved, outcome.value
+        x, z = run.x[:n], np.zeros((n, 0))
+        if not outcome.ok:
+            stats["t_failed"] = run.t
+            report = failure_report(model, experiment, x, z, outcome, run.t, _ADVICE[outcome])
+        return assemble(model, experiment, x, z, outcome, report, stats)
+
+    def _integrate(self, rates: _Rates, run: _Run) -> Outcome:
+        k, x, end = run.k, run.x[0].copy(), run.end
+        k[0] = rates(run.t, x)
+        h, before, rejected = self._first_step(rates, run, x), 1e-4, False
+        while run.t < end:
+            last = run.t + 1.01 * h >= end
+            h = end - run.t if last else h
+            if run.steps + run.rejected >= self.max_steps:
+                return Outcome.too_many_steps
+            y = _step(rates, run.t, h, x, k)
+            e = self._error(h, x, y, k)
+            if not e <= 1:
+                if h <= 16 * _EPSILON * max(abs(run.t), abs(end)):
+                    return Outcome.step_too_small if np.isfinite(e) else Outcome.not_finite
+                h *= max(0.333, 0.9 * e**-0.125) if np.isfinite(e) else 0.1
+                run.rejected, rejected = run.rejected + 1, True
+                continue
+            run.save(rates, h, x, y)
+            run.t = end if last else run.t + h
+            run.steps += 1
+            factor = 0.9 * e**-0.1 * before**0.05 if e > 0 else 6.0
+            before = max(e, 1e-4)
+            h *= min(1.0 if rejected else 6.0, max(0.333, factor))
+            rejected, x = False, y
+            k[0] = k[12]
+        return Outcome.reached_end
+
+    def _error(self, h: float, x: np.ndarray, y: np.ndarray, k: np.ndarray) -> float:
+        """Largest error of the step relative to the tolerance of a state."""
+        e5, e3 = E5 @ k, E3 @ k
+        square = e5 * e5 + 0.01 * e3 * e3
+        scale = self.atol + self.rtol * np.maximum(np.abs(x), np.abs(y))
+        part = np.divide(e5 * e5, np.sqrt(square), out=np.zeros_like(x), where=square != 0)
+        worst = float((h * part / scale).max())
+        return worst if np.isfinite(y).all() else float("nan")
+
+    def _first_step(self, rates: _Rates, run: _Run, x: np.ndarray) -> float:
+        """From the sizes of x, x' and x'' [Hairer, Norsett, Wanner 1993, sec. II.4]."""
+        span, scale = run.end - run.t, self.atol + self.rtol * np.abs(x)
+        d0, d1 = (float((np.abs(v) / scale).max()) for v in (x, run.k[0]))
+        h0 = min(span, 1e-6 * span if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1)
+        run.k[1] = rates(run.t + h0, x + h0 * run.k[0])
+        d = max(d1, float((np.abs(run.k[1] - run.k[0]) / (h0 * scale)).max()))
+        h1 = max(1e-6 * span, 1e-3 * h0) if d <= 1e-15 else (0.01 / d) ** 0.125
+        return min(100 * h0, h1, span)
+
+
+def _step(rates: _Rates, t: float, h: float, x: np.ndarray, k: np.ndarray) -> np.ndarray:
+    for s in range(1, 13):
+        y = x + h * (A[s, :s] @ k[:s])
+        k[s] = rates(t + C[s] * h, y)
+    return y
+
+
+class _Rates:
+    """Ode at (t, x), with the inputs of the experiment."""
+
+    def __init__(self, model: Model, experiment: Experiment) -> None:
+        self._experiment, self.count = experiment, 0
+        self._constant = all(is_constant(signal) for signal in experiment.inputs)
+        self._u = input_values(experiment.inputs, experiment.t[:1])[:, 0]
+        self._t, self._x = np.zeros(1), np.zeros(model.n_x)
+        self._rates = np.zeros(model.n_x)
+        self._buffer, self._evaluate = model.function("ode").buffer()
+        for i, value in ((0, self._t), (1, self._x), (3, self._u), (4, experiment.p)):
+            if value.size:
+                self._buffer.set_arg(i, memoryview(value))  # type: ignore[arg-type]
+        if model.n_x:
+            self._buffer.set_res(0, memoryview(self._rates))  # type: ignore[arg-type]
+
+    def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
+        self.count += 1
+        if not self._constant:
+            self._u[:] = input_values(self._experiment.inputs, np.array([t]))[:, 0]
+        self._t[0], self._x[:] = t, x
+        self._evaluate()
+        return self._rates
+
+
+class _Run:
+    """Where the integration is, and the points saved so far."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.times, self.end = experiment.t, float(experiment.t[-1])
+        self.t, self.saved, self.steps, self.rejected = float(experiment.t[0]), 1, 0, 0
+        self.x = np.zeros((len(experiment.t), experiment.x.size))
+        self.x[0] = experiment.x
+        self.k = np.zeros((16, experiment.x.size))
+
+    def save(self, rates: _Rates, h: float, x: np.ndarray, y: np.ndarray) -> None:
+        """The points within the step from t, by the interpolant of order 7."""
+        n = int(np.searchsorted(self.times, self.t + h, side="right"))
+        if self.t + 1.01 * h >= self.end:
+            n = len(self.times)
+        inside = range(self.saved, n)
+        if not inside:
+            return
+        k = self.k
+        if self.times[self.saved] < self.t + h:
+            for s in (13, 14, 15):
+                k[s] = rates(self.t + C[s] * h, x + h * (A[s, :s] @ k[:s]))
+        way = y - x
+        f = [way, h * k[0] - way, 2 * way - h * (k[0] + k[12]), *(h * (D @ k))]
+        for i in inside:
+            theta, value = (self.times[i] - self.t) / h, np.zeros_like(x)
+            for j, part in enumerate(reversed(f)):
+                value = (value + part) * (theta if j % 2 == 0 else 1 - theta)
+            self.x[i] = y if self.times[i] >= self.t + h else x + value
+        self.saved = n
