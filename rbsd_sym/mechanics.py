@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 
-from .rotation import cross, dot3, quat_product
+from .rotation import cross, dot3, quat_conjugate, quat_matrix, quat_product
 
 Expr: TypeAlias = ca.SX
 
@@ -86,10 +86,27 @@ def displaced(motion: Motion, small: Expr, faster: Expr) -> Motion:
     return Motion(frame, motion.v_WA + faster[:3], motion.w_WA + faster[3:])
 
 
-def shift_to_body(body: Body, p_BA: Expr, wrench: Wrench) -> Wrench:
-    """The wrench at A moved to the centre of mass: force in world axes, torque in body axes."""
+def seen_from_first(first: Body, second: Body, by_quaternion: bool) -> list[Body]:
+    """Both bodies in the axes of the first, from its centre of mass; its velocity is taken off.
+
+    What connects them depends on nothing else, and of the first body's frame nothing is left to
+    compute. Angular velocities stay those in the world.
+    """
+    here, there = first.motion, second.motion
+    R_EW = here.frame.R_WA.T
+    q = quat_product(quat_conjugate(here.frame.q_WA), there.frame.q_WA)
+    R = quat_matrix(q) if by_quaternion else R_EW @ there.frame.R_WA
+    still = ca.SX.zeros(3)
+    own = Frame(still, ca.SX.eye(3), ca.SX([1, 0, 0, 0]))
+    frame = Frame(R_EW @ (there.frame.p_WA - here.frame.p_WA), R, q)
+    motion = Motion(frame, R_EW @ (there.v_WA - here.v_WA), R @ second.w_WB_B)
+    return [Body(Motion(own, still, first.w_WB_B), first.w_WB_B), Body(motion, second.w_WB_B)]
+
+
+def torque_on_body(body: Body, p_BA: Expr, wrench: Wrench) -> Expr:
+    """Torque about the centre of mass, body axes, of a wrench at A."""
     R_BW = body.motion.frame.R_WA.T
-    return Wrench(wrench.f, R_BW @ wrench.tau + cross(p_BA, R_BW @ wrench.f))
+    return R_BW @ wrench.tau + cross(p_BA, R_BW @ wrench.f)
 
 
 def gyroscopic(inertia: Expr, w_WB_B: Expr) -> Expr:

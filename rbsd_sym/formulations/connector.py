@@ -20,6 +20,8 @@ from ..mechanics import (
     ground_motion,
     marker_motion,
     power,
+    seen_from_first,
+    torque_on_body,
 )
 from ..sensors import ConnectorView, Quantity
 from ..symbols import TIME, to_expr
@@ -52,7 +54,6 @@ class _Sight(NamedTuple):
 
     response: Response
     respond: Callable[..., Response]
-    bodies: list[Body]
     markers: list[MarkerOnBody]
     motions: list[Motion]
 
@@ -131,9 +132,8 @@ class ConnectorWriter:
             )
         return self.cache[key]
 
-    def _see(self, x: ca.SX, c: ca.SX) -> _Sight:
+    def _see(self, c: ca.SX, bodies: list[Body]) -> _Sight:
         kind, k = self.kind, 2 * MARKER
-        bodies = [self.layout.body(part) for part in self.layout.split(x)]
         markers = [marker_of(c[:MARKER]), marker_of(c[MARKER:k])]
         motions = [
             ground_motion(marker) if place is None else marker_motion(bodies[place], marker)
@@ -148,20 +148,28 @@ class ConnectorWriter:
             c[k + 72 : k + 78], c[k + 78 : k + 84], user,
         )  # fmt: skip
         answer = partial(respond, kind.law, numbers, TIME.expr)
-        return _Sight(answer(*motions), answer, bodies, markers, motions)
+        return _Sight(answer(*motions), answer, markers, motions)
 
     def _build_rates(self, x: ca.SX, c: ca.SX) -> ca.Function:
-        sight = self._see(x, c)
-        rates, first = [ca.SX.zeros(6)] * len(sight.bodies), 2 * MARKER + _NUMBERS
+        bodies, R_WE = [self.layout.body(part) for part in self.layout.split(x)], ca.SX.eye(3)
+        if len(bodies) == 2 and self.kind.force is None:  # a user may look at the world's axes
+            R_WE = bodies[0].motion.frame.R_WA
+            bodies = seen_from_first(bodies[0], bodies[1], self.layout.coordinates.quaternion)
+        sight, first = self._see(c, bodies), 2 * MARKER + _NUMBERS
         wrenches = (sight.response.wrench0, sight.response.wrench1)
-        for place, marker, wrench in zip(self.kind.places, sight.markers, wrenches, strict=True):
+        f0_W = R_WE @ wrenches[0].f
+        opposite = ca.is_equal(wrenches[1].f, -wrenches[0].f, 2)
+        forces = (f0_W, -f0_W if opposite else R_WE @ wrenches[1].f)
+        rates = [ca.SX.zeros(6)] * len(bodies)
+        for i, place in enumerate(self.kind.places):
             if place is not None:
                 compliance = c[first + COMPLIANCE * place : first + COMPLIANCE * (place + 1)]
-                rates[place] += accelerations(sight.bodies[place], marker, wrench, compliance)
+                torque = torque_on_body(bodies[place], sight.markers[i].p_BA, wrenches[i])
+                rates[place] += accelerations(forces[i], torque, compliance)
         return kernel("connector", x, c, ca.vertcat(*rates), ca.SX(0, 1))
 
     def _build_measure(self, x: ca.SX, c: ca.SX, quantity: Quantity) -> ca.Function:
-        sight = self._see(x, c)
+        sight = self._see(c, [self.layout.body(part) for part in self.layout.split(x)])
         response, motions = sight.response, sight.motions
         parts = [self.layout.kinematic_rates(part) for part in self.layout.split(x)]
         c_rate = ca.SX.sym("c_rate", c.numel())

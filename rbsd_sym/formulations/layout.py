@@ -10,7 +10,7 @@ import casadi as ca
 
 from ..dae import Balance, Label, Turn
 from ..elements import GROUND, Marker, RigidBody
-from ..mechanics import Body, MarkerOnBody, Wrench, body_motion, shift_to_body
+from ..mechanics import Body, body_motion
 from ..scene import Scene
 from ..symbols import TIME, to_expr
 from .columns import axes_without_inertia, has_mass, rotation_pair
@@ -142,11 +142,9 @@ class Layout:
         return ca.vertcat(x[3 + n : 6 + n], rate, ca.SX.zeros(6))
 
 
-def accelerations(body: Body, marker: MarkerOnBody, wrench: Wrench, compliance: ca.SX) -> ca.SX:
-    """(v', w') that a wrench at a marker gives a body."""
-    moved = shift_to_body(body, marker.p_BA, wrench)
-    inverse = ca.reshape(compliance[1:], 3, 3)
-    return ca.vertcat(compliance[0] * moved.f, inverse @ moved.tau)
+def accelerations(f_W: ca.SX, tau_B: ca.SX, compliance: ca.SX) -> ca.SX:
+    """(v', w') that a force (world axes) and a torque (body axes) at the centre of mass give."""
+    return ca.vertcat(compliance[0] * f_W, ca.reshape(compliance[1:], 3, 3) @ tau_B)
 
 
 def kernel(name: str, x: ca.SX, c: ca.SX, *results: ca.SX) -> ca.Function:

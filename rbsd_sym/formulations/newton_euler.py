@@ -13,7 +13,7 @@ import numpy as np
 from ..checks import at_default
 from ..dae import Dae, Label, Part
 from ..elements import GROUND, Load, RigidBody
-from ..mechanics import Wrench, gyroscopic
+from ..mechanics import Wrench, gyroscopic, torque_on_body
 from ..scene import Scene
 from ..symbols import TIME, Leaf, default_values, to_expr
 from .audit import audit
@@ -123,7 +123,8 @@ def _load_kernel(layout: Layout, frame: str) -> ca.Function:
     if frame == "body":
         R_WB = body.motion.frame.R_WA
         wrench = Wrench(R_WB @ wrench.f, R_WB @ wrench.tau)
-    return kernel("load", x, c, accelerations(body, marker, wrench, compliance), ca.SX(0, 1))
+    torque = torque_on_body(body, marker.p_BA, wrench)
+    return kernel("load", x, c, accelerations(wrench.f, torque, compliance), ca.SX(0, 1))
 
 
 def _check_inertia(body: RigidBody) -> None:

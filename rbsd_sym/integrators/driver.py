@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,6 +17,7 @@ from ..model import Model
 from ..trajectory import Column, Experiment, Outcome, Samples, Signal, Trajectory
 from .signals import evaluate, is_constant, raise_of_user, symbolic
 
+_OUTPUT = threading.Lock()  # redirection is for the whole process
 _ROUNDS = 3  # of Newton's method at saved points, from values good to the tolerance
 _SETTLED = 1e-10  # last step, relative to the unknowns
 
@@ -152,7 +154,7 @@ def _evaluate(integrator: ca.Function, experiment: Experiment) -> Run:
         if value.size:
             buffer.set_res(integrator.index_out(key), value.data)
     messages, failed = io.StringIO(), False
-    with contextlib.redirect_stderr(messages), contextlib.redirect_stdout(messages):
+    with _OUTPUT, contextlib.redirect_stderr(messages), contextlib.redirect_stdout(messages):
         try:
             evaluate_buffer()
             failed = buffer.ret() != 0
