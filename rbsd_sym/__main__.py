@@ -121,7 +121,10 @@ def _finish(options: argparse.Namespace, trajectory: rs.Trajectory, columns: Any
         unfinished.replace(picture)
         print(f"wrote {picture}")
     print(f"wrote {trajectory.save(folder / f'{trajectory.name}.npz')}")
-    counts = ", ".join(f"{key} {value:.6g}" for key, value in trajectory.stats.items())
+    counts = ", ".join(
+        f"{key} {value if isinstance(value, str) else f'{value:.6g}'}"
+        for key, value in trajectory.stats.items()
+    )
     print(f"{trajectory}\n{counts}")
 
 

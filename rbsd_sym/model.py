@@ -13,6 +13,7 @@ import numpy as np
 
 from .assembly import Assembly
 from .dae import Dae, Label, table
+from .newton import newton
 from .reduction import Dropped, Reduction, Replaced
 from .spectra import growth_exponent, growth_rates
 from .trajectory import Column, Trajectory
@@ -22,7 +23,7 @@ _EIGENVALUE_WORK = 5e6  # cube of the block's size times the number of points: a
 _PROPAGATED = 60  # states left out, up to which their propagator is affordable
 _POINTS = 400  # for it
 _FEW_PARTS = 20
-_MANY_OPERATIONS = 10_000  # of ode; beyond it flat code costs more to build than it gains
+_MANY_OPERATIONS = 4_000  # of ode; beyond it flat code takes long to compile, and gains little
 _JACOBIAN = re.compile(r"d(ode|alg|out)_d([txzup])")
 _DIRECTIONAL = re.compile(r"(ode|alg|out)_(hessian|forward|adjoint)")
 
@@ -165,6 +166,17 @@ class Model:
         if "assembly" not in self.memo:
             self.memo["assembly"] = Assembly(self.dae)
         return self.memo["assembly"]
+
+    def consistent(
+        self, t: float, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray
+    ) -> tuple[np.ndarray, bool]:
+        """The z that solves alg = 0, by Newton's method from the given z, and whether it does."""
+        residual, jacobian = self.function("alg"), self.function("dalg_dz")
+        return newton(
+            lambda z: np.array(residual(t, x, z, u, p)).reshape(-1),
+            lambda z: np.array(ca.DM(jacobian(t, x, z, u, p))),
+            np.array(z, float),
+        )
 
     def _over_all_parameters(self, name: str) -> ca.Function:
         """The function of that name with the parameters without effect on the model after p."""

@@ -88,7 +88,7 @@ class Trajectory:
         t: (n,) s, up to the failure if there was one.
         columns: states, algebraic unknowns, inputs, and outputs evaluated so far.
         outcome, report: how it ended, and the full sentence with time, state and advice.
-        stats: steps, evaluations, time in s.
+        stats: steps, evaluations, time in s, the linear solver.
         parameters: values used.
         digest: of the model.
         also: states the model left out; evaluated on demand, and always saved.
@@ -99,7 +99,7 @@ class Trajectory:
     columns: dict[str, Column]
     outcome: Outcome
     report: str
-    stats: Mapping[str, float]
+    stats: Mapping[str, float | str]
     parameters: Mapping[str, float]
     states: tuple[str, ...]
     digest: str

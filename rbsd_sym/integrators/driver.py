@@ -75,7 +75,10 @@ def run(
         _settle(model, experiment, result)
     if result.failed:
         raise_of_user(kept)
-    stats = {ours: float(result.stats.get(theirs, np.nan)) for ours, theirs in count.items()}
+    stats: dict[str, float | str] = {}
+    stats |= {ours: float(result.stats.get(theirs, np.nan)) for ours, theirs in count.items()}
+    if "linear_solver" in options:
+        stats["linear_solver"] = options["linear_solver"]
     stats["time"] = time.perf_counter() - built
     stats["time_build"] = built - started
     return _trajectory(model, experiment, result, judge, stats)
@@ -168,7 +171,7 @@ def _evaluate(integrator: ca.Function, experiment: Experiment) -> Run:
 
 def _trajectory(
     model: Model, experiment: Experiment, result: Run, judge: Callable[[Run], Verdict],
-    stats: dict[str, float],
+    stats: dict[str, float | str],
 ) -> Trajectory:  # fmt: skip
     finite = np.isfinite(result.x).all(axis=1) & np.isfinite(result.z).all(axis=1)
     n = int(np.argmin(finite)) if not finite.all() else len(finite)
@@ -225,7 +228,7 @@ def input_values(inputs: tuple[Signal, ...], t: np.ndarray) -> np.ndarray:
 
 def assemble(
     model: Model, experiment: Experiment, x: np.ndarray, z: np.ndarray, outcome: Outcome,
-    report: str, stats: Mapping[str, float],
+    report: str, stats: Mapping[str, float | str],
 ) -> Trajectory:  # fmt: skip
     """A `Trajectory` from its states (n, n_x) and (n, n_z)."""
     dae, t = model.dae, experiment.t[: len(x)]
@@ -246,7 +249,7 @@ def assemble(
 def _consistent(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
     """Z that solves alg = 0 at the start, by Newton's method from the given z."""
     u = input_values(e.inputs, e.t[:1])[:, 0]
-    return model.dae.consistent(float(e.t[0]), e.x, e.z, u, e.p)
+    return model.consistent(float(e.t[0]), e.x, e.z, u, e.p)
 
 
 def _settle(model: Model, e: Experiment, result: Run) -> None:
@@ -270,7 +273,7 @@ def _settle(model: Model, e: Experiment, result: Run) -> None:
         size = (np.abs(step) / (1 + np.abs(z))).max(axis=0)
     for k in np.flatnonzero(~(size <= _SETTLED)):
         given = (float(e.t[k]), result.x[k], result.z[k], u[:, k], e.p)
-        value, found = model.dae.consistent(*given)
+        value, found = model.consistent(*given)
         z[:, k] = value if found else result.z[k]
     result.z[:n] = z.T
 
@@ -279,7 +282,7 @@ def _quasi_static(model: Model, e: Experiment, started: float) -> Trajectory:
     """A model without states: alg = 0 at each time, each from the one before."""
     u, z = input_values(e.inputs, e.t), [e.z]
     for k in range(1, len(e.t)):
-        value, found = model.dae.consistent(float(e.t[k]), e.x, z[-1], u[:, k], e.p)
+        value, found = model.consistent(float(e.t[k]), e.x, z[-1], u[:, k], e.p)
         if not found:
             break
         z.append(value)
