@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,8 +16,36 @@ from .kernels import Group, groups, output_groups
 
 
 @dataclass(frozen=True, eq=False)
+class Piece:
+    """One small function, called for every instance of a group.
+
+    Fields:
+        function: (t, w, c) or (t, w, c, given) -> values (m, 1).
+        reads: (n, N) rows of w in [x; z; u; p], an instance each.
+        constants: (k, N).
+        given: rows of what it reads of the multipliers or of the direction, -1 for none.
+        places: (m, N) where its values are added to the nonzeros of the result, -1 for nowhere.
+    """
+
+    function: ca.Function
+    reads: np.ndarray
+    constants: np.ndarray
+    places: np.ndarray
+    given: np.ndarray | None = None
+
+
+class Assembled(NamedTuple):
+    """A function as pieces: its pattern, and the letter and length of its sixth argument."""
+
+    pieces: list[Piece]
+    pattern: ca.Sparsity
+    letter: str = ""
+    n_given: int = 0
+
+
+@dataclass(frozen=True, eq=False)
 class _Term:
-    """What one group gives to a result: mapped values (m, N), and their places, -1 for none."""
+    """Mapped values (m, N), and their places, -1 for none."""
 
     values: ca.MX
     places: np.ndarray
@@ -90,6 +119,7 @@ class Assembly:
         self.w = ca.vertcat(*self.symbols[1:])
         starts = np.cumsum([0, *sizes.values()])
         self.inputs = {k: range(a, b) for k, (a, b) in zip("xzup", pairwise(starts), strict=True)}
+        self._known: dict[str, Assembled] = {}
         n, m = sizes["x"], sizes["z"]
         self.outputs = {
             "ode": range(n), "alg": range(n, n + m), "out": range(len(dae.out_labels)),
@@ -109,27 +139,35 @@ class Assembly:
 
     def function(self, name: str) -> ca.Function:
         """Ode, alg, out or a derivative of one, named as in `Model`, as a CasADi Function."""
-        f, _, kind = name.partition("_")
+        parts = self.assembled(name)
+        given = ca.MX.sym(parts.letter or "none", parts.n_given)
+        terms = [_Term(self._mapped(piece, given), piece.places) for piece in parts.pieces]
+        value = ca.MX(parts.pattern, scatter_add(terms, parts.pattern.nnz()))
         if name in ("ode", "alg"):
-            blocks = [self.jacobian(name, kind) for kind in "txzup"]
-            return with_jacobian(name, self.symbols, self.value(name), blocks)
-        if name == "out":
-            return ca.Function(name, self.symbols, [self.value(name)], list("txzup"), [name])
-        if f not in self.outputs:
-            expression = self.jacobian(*name[1:].split("_d"))
-            return ca.Function(name, self.symbols, [expression], list("txzup"), [name])
-        letter, size = ("v", self.w.numel()) if kind == "forward" else ("l", len(self.outputs[f]))
-        given = ca.MX.sym(letter, size)
-        result = getattr(self, kind)(f, given)
-        return ca.Function(name, [*self.symbols, given], [result], [*"txzup", letter], [name])
+            blocks = [self.function(f"d{name}_d{v}")(*self.symbols) for v in "txzup"]
+            return with_jacobian(name, self.symbols, value, blocks)
+        symbols, names = [*self.symbols], [*"txzup"]
+        if parts.letter:
+            symbols, names = [*symbols, given], [*names, parts.letter]
+        return ca.Function(name, symbols, [value], names, [name])
 
-    def value(self, name: str) -> ca.MX:
-        """Ode, alg or out."""
-        terms = [_Term(self._mapped(group, group.kernel), writes)
-                 for group, writes in self._writing(name)]  # fmt: skip
-        return scatter_add(terms, len(self.outputs[name]))
+    def assembled(self, name: str) -> Assembled:
+        """Ode, alg, out or a derivative of one, in pieces."""
+        if name not in self._known:
+            f, _, kind = name.partition("_")
+            if name in self.outputs:
+                self._known[name] = self._value(name)
+            elif f in self.outputs:
+                self._known[name] = getattr(self, f"_{kind}")(f)
+            else:
+                self._known[name] = self._jacobian(*name[1:].split("_d"))
+        return self._known[name]
 
-    def jacobian(self, name: str, by: str) -> ca.MX:
+    def _value(self, name: str) -> Assembled:
+        pieces = [_piece(g, g.kernel, places) for g, places in self._writing(name)]
+        return Assembled(pieces, ca.Sparsity.dense(len(self.outputs[name]), 1))
+
+    def _jacobian(self, name: str, by: str) -> Assembled:
         """Sparse derivative of ode, alg or out by t (explicit), x, z, u, p."""
         if by == "t":
             return self._by_time(name)
@@ -138,56 +176,54 @@ class Assembly:
         found = [term for term in tangents if term is not None]
         return _matrix(found, len(rows), len(columns))
 
-    def _by_time(self, name: str) -> ca.MX:
+    def _by_time(self, name: str) -> Assembled:
         """A dense column."""
-        rows, terms = self.outputs[name], []
-        for group, writes in self._writing(name):
+        pieces = []
+        for group, places in self._writing(name):
             t, w, c = group.kernel.sx_in()
             rate = ca.densify(ca.jacobian(group.kernel(t, w, c), t))
             if not rate.is_zero():
-                function = ca.Function("by_time", [t, w, c], [rate])
-                terms.append(_Term(self._mapped(group, function), writes))
-        return scatter_add(terms, len(rows))
+                pieces.append(_piece(group, ca.Function("by_time", [t, w, c], [rate]), places))
+        return Assembled(pieces, ca.Sparsity.dense(len(self.outputs[name]), 1))
 
-    def hessian(self, name: str, multiplier: ca.MX) -> ca.MX:
-        """Second derivatives of multiplier' f by w, sparse and symmetric (n_w, n_w)."""
+    def _hessian(self, name: str) -> Assembled:
+        """Second derivatives of l'f by w, sparse and symmetric (n_w, n_w)."""
         found = []
         for group, writes in self._writing(name):
             t, w, c = group.kernel.sx_in()
             scale = ca.SX.sym("l", group.kernel.size1_out(0))
             second, _ = ca.hessian(ca.dot(scale, group.kernel(t, w, c)), w)
             i, j = (np.array(index, int) for index in second.sparsity().get_triplet())
-            if not len(i):
-                continue
-            function = ca.Function("second", [t, w, c, scale], [second.nz[:]])
-            values = self._mapped(group, function, _gather(multiplier, writes))
-            found.append((values, group.reads[i], group.reads[j]))
+            if len(i):
+                function = ca.Function("second", [t, w, c, scale], [second.nz[:]])
+                piece = _piece(group, function, writes, writes)
+                found.append((piece, group.reads[i], group.reads[j]))
         n = self.w.numel()
-        return _matrix(found, n, n)
+        return _matrix(found, n, n)._replace(letter="l", n_given=len(self.outputs[name]))
 
-    def forward(self, name: str, direction: ca.MX) -> ca.MX:
-        """Derivative of f along a direction of w, a column."""
-        terms = []
-        for group, writes in self._writing(name):
+    def _forward(self, name: str) -> Assembled:
+        """Derivative of f along a direction v of w, a column."""
+        pieces = []
+        for group, places in self._writing(name):
             t, w, c = group.kernel.sx_in()
             seed = ca.SX.sym("v", w.numel())
             rate = ca.densify(ca.jtimes(group.kernel(t, w, c), w, seed))
             function = ca.Function("forward", [t, w, c, seed], [rate])
-            values = self._mapped(group, function, _gather(direction, group.reads))
-            terms.append(_Term(values, writes))
-        return scatter_add(terms, len(self.outputs[name]))
+            pieces.append(_piece(group, function, places, group.reads))
+        pattern = ca.Sparsity.dense(len(self.outputs[name]), 1)
+        return Assembled(pieces, pattern, "v", self.w.numel())
 
-    def adjoint(self, name: str, multiplier: ca.MX) -> ca.MX:
-        """Gradient of multiplier' f by w, a column."""
-        terms = []
+    def _adjoint(self, name: str) -> Assembled:
+        """Gradient of l'f by w, a column."""
+        pieces = []
         for group, writes in self._writing(name):
             t, w, c = group.kernel.sx_in()
             scale = ca.SX.sym("l", group.kernel.size1_out(0))
             rate = ca.densify(ca.jtimes(group.kernel(t, w, c), w, scale, True))
             function = ca.Function("adjoint", [t, w, c, scale], [rate])
-            values = self._mapped(group, function, _gather(multiplier, writes))
-            terms.append(_Term(values, group.reads))
-        return scatter_add(terms, int(self.w.numel()))
+            pieces.append(_piece(group, function, group.reads, writes))
+        pattern = ca.Sparsity.dense(self.w.numel(), 1)
+        return Assembled(pieces, pattern, "l", len(self.outputs[name]))
 
     def _writing(self, name: str) -> list[tuple[Group, np.ndarray]]:
         """The groups that write rows of ode, alg or out, and which; -1 for other rows."""
@@ -196,8 +232,8 @@ class Assembly:
 
     def _tangents(
         self, group: Group, rows: range, columns: range
-    ) -> tuple[ca.MX, np.ndarray, np.ndarray] | None:
-        """Mapped nonzeros of a kernel's Jacobian, and their rows and columns in the block."""
+    ) -> tuple[Piece, np.ndarray, np.ndarray] | None:
+        """Nonzeros of a kernel's Jacobian, and their rows and columns in the block."""
         t, w, c = group.kernel.sx_in()
         jacobian = ca.jacobian(group.kernel(t, w, c), w)
         i, j = (np.array(index, int) for index in jacobian.sparsity().get_triplet())
@@ -206,17 +242,26 @@ class Assembly:
         if not inside.any():
             return None
         kept = ca.cse(jacobian.nz[np.flatnonzero(inside).tolist()])
-        values = self._mapped(group, ca.Function("tangents", [t, w, c], [kept]))
-        return values, at[0][inside], at[1][inside]
+        function = ca.Function("tangents", [t, w, c], [kept])
+        return _piece(group, function, at[0]), at[0][inside], at[1][inside]
 
-    def _mapped(self, group: Group, function: ca.Function, *more: ca.MX) -> ca.MX:
-        """The function (t, w, c, ...) of all instances, a column each."""
-        n = group.reads.shape[1]
-        arguments = [self.symbols[0], _gather(self.w, group.reads), ca.MX(ca.DM(group.constants))]
+    def _mapped(self, piece: Piece, given: ca.MX) -> ca.MX:
+        """The values of all instances, a column each."""
+        n = piece.reads.shape[1]
+        constants = ca.MX(ca.DM(piece.constants))
+        arguments = [self.symbols[0], _gather(self.w, piece.reads), constants]
+        if piece.given is not None:
+            arguments.append(_gather(given, piece.given))
         if n == 1:
-            return function(*arguments, *more)
-        mapped = function.map(f"{function.name()}_{n}", "serial", n, [0], [])
-        return mapped(*arguments, *more)
+            return piece.function(*arguments)
+        name = f"{piece.function.name()}_{n}"
+        return piece.function.map(name, "serial", n, [0], [])(*arguments)
+
+
+def _piece(
+    group: Group, function: ca.Function, places: np.ndarray, given: np.ndarray | None = None
+) -> Piece:
+    return Piece(function, group.reads, group.constants, places, given)
 
 
 def _within(rows: np.ndarray, part: range) -> np.ndarray:
@@ -232,16 +277,16 @@ def _gather(column: ca.MX, rows: np.ndarray) -> ca.MX:
 
 
 def _matrix(
-    found: Sequence[tuple[ca.MX, np.ndarray, np.ndarray]], n_rows: int, n_columns: int
-) -> ca.MX:
-    """Sparse sum of values (m, N) at rows and columns; negative ones lie outside."""
+    found: Sequence[tuple[Piece, np.ndarray, np.ndarray]], n_rows: int, n_columns: int
+) -> Assembled:
+    """Sparse sum of the values of pieces at rows and columns; negative ones lie outside."""
     codes = [np.where((i >= 0) & (j >= 0), j * n_rows + i, -1) for _, i, j in found]
     every = np.concatenate([np.zeros(0, int), *(code.reshape(-1) for code in codes)])
     used = np.unique(every[every >= 0])
-    terms = [
-        _Term(values, np.where(code >= 0, np.searchsorted(used, code), -1))
-        for (values, _, _), code in zip(found, codes, strict=True)
+    pieces = [
+        replace(piece, places=np.where(code >= 0, np.searchsorted(used, code), -1))
+        for (piece, _, _), code in zip(found, codes, strict=True)
     ]
     columns = np.searchsorted(used // max(n_rows, 1), np.arange(n_columns + 1))
-    pattern = ca.Sparsity(n_rows, n_columns, columns.tolist(), (used % max(n_rows, 1)).tolist())
-    return ca.MX(pattern, scatter_add(terms, len(used))) if len(used) else ca.MX(n_rows, n_columns)
+    rows = (used % max(n_rows, 1)).tolist()
+    return Assembled(pieces, ca.Sparsity(n_rows, n_columns, columns.tolist(), rows))

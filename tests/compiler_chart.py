@@ -155,11 +155,11 @@ def building(links: int) -> tuple[Any, ...]:
 
 
 def fastest(run: Callable[[float], np.ndarray], error: Callable[[np.ndarray], float]) -> float:
-    """The tolerance below ERROR that takes the least CPU time; it and all tighter ones tried are."""
+    """The tolerance that takes the least CPU time; it and all tighter ones stay below ERROR."""
     good: list[tuple[float, float]] = []
     for tolerance in 10.0 ** np.arange(-8, -1.4, 0.25):
         if error(run(tolerance)) > ERROR:
-            break
+            break  # looser ones may be lucky
         good.append((min(cpu(lambda t=tolerance: run(t)) for _ in range(3)), float(tolerance)))
     return min(good)[1]
 
@@ -184,9 +184,7 @@ def simulations(name: str, hand: ctypes.CDLL, folder: Path) -> list[tuple[Any, .
     for method in (rs.Dop853(), rs.ExplicitRK()):
         key = type(method).__name__
         simulator = rs.load_simulator(rs.export_simulator(model, folder / key, method))
-        runs[f"exported C, {key}"] = lambda r, s=simulator: state_of(
-            s(t_end, points=1, rtol=r, atol=r / 10)
-        )
+        runs[f"exported C, {key}"] = c_call(simulator, model.n_x, t_end)
     for title, candidate in (("compiled functions", rs.compiled(model)),
                              ("CasADi's virtual machine", model)):  # fmt: skip
         runs[f"IDAS, {title}"] = lambda r, m=candidate: state_of(
@@ -210,6 +208,18 @@ def simulations(name: str, hand: ctypes.CDLL, folder: Path) -> list[tuple[Any, .
     times = medians(contenders)
     return [(name, key, 1e3 * times[key][0], 1e3 * times[key][1], errors[key], settings[key])
             for key in contenders]  # fmt: skip
+
+
+def c_call(simulator: rs.Simulator, n_x: int, t_end: float) -> Callable[[float], np.ndarray]:
+    """The final state at a tolerance, by the C function itself."""
+    out = np.zeros(n_x)
+    pointer, none = out.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), None
+
+    def run(rtol: float) -> np.ndarray:
+        simulator.function(0.0, t_end, none, 1, none, none, none, rtol, rtol / 10, 1, pointer, none)
+        return out
+
+    return run
 
 
 def exudyn(name: str, scene: dict[str, Any]) -> tuple[Callable[[], float], np.ndarray, str] | None:
@@ -279,8 +289,9 @@ def main() -> None:
     target = ROOT / "generated" / "charts"
     target.mkdir(parents=True, exist_ok=True)
     text = "\n\n".join([
-        "# The compiler, measured", "Made by `python tests/compiler_chart.py`; CPU time, medians of "
-        f"{REPEATS} in turn.", "## One evaluation", rates.to_markdown(),
+        "# The compiler, measured",
+        f"Made by `python tests/compiler_chart.py`; CPU time, medians of {REPEATS} in turn.",
+        "## One evaluation", rates.to_markdown(),
         f"## One simulation, error below {ERROR:g}", runs.to_markdown(),
         "## From scene to compiled library, and one short simulation", built.to_markdown(),
     ])  # fmt: skip

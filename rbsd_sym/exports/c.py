@@ -16,6 +16,7 @@ from .card import card_text
 from .example import example_text
 from .files import MANIFEST, Artefact, sha256, write_folder
 from .header import Exported, banner, defaults_signature, header_text, signature
+from .loops import add_kernels, assembles, stub, with_loops
 
 _ALWAYS = ("ode", "alg", "out")
 _JACOBIANS = tuple(f"d{f}_d{v}" for f in ("ode", "alg") for v in "xzup")
@@ -57,6 +58,8 @@ def _exported(model: Model, name: str) -> Exported:
     function = model.function(name)
     sparse = function.size2_out(0) > 1 or name in _JACOBIANS or name.startswith("dout_d")
     symbol, letters = names.kernel(model.name, name), function.name_in()
+    if assembles(model, name):
+        return Exported(name, stub(model, name, symbol), sparse)
     symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
     result = function(*symbols)
     expression = result if sparse else ca.densify(result)
@@ -69,13 +72,15 @@ def source_text(model: Model, functions: list[Exported]) -> str:
     generator = ca.CodeGenerator(f"{model.name}_casadi", {"with_header": False})
     for f in functions:
         generator.add(f.kernel)
+    loops = {f.kernel.name(): f.name for f in functions if assembles(model, f.name)}
+    add_kernels(generator, model, loops)
     parts = [
         banner(model, f"{model.name}.c: kernels by CasADi, each behind one plain C function"),
         f'#include "{model.name}.h"\n',
         "#if defined(__GNUC__)\n"
         '#pragma GCC diagnostic ignored "-Wunused-parameter" /* of CasADi\'s common signature */\n'
         "#endif\n",
-        generator.dump(),
+        with_loops(str(generator.dump()), model, loops),
         defaults_signature(model.name),
         defaults_body(model),
         *(_wrapper(model, f) for f in functions),

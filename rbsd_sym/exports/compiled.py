@@ -11,6 +11,7 @@ from ..assembly import with_jacobian
 from ..model import Model
 from . import names
 from .load import OPTIMISED, build
+from .loops import add_kernels, assembles, stub, with_loops
 
 
 def compiled(model: Model, compiler: str | None = None, flags: Sequence[str] = OPTIMISED) -> Model:
@@ -40,13 +41,18 @@ def compiled(model: Model, compiler: str | None = None, flags: Sequence[str] = O
 def _source(model: Model, functions: dict[str, ca.Function]) -> str:
     """C of the functions; rates with the pattern of their Jacobian, for who sees only them."""
     generator = ca.CodeGenerator(f"{model.name}_compiled")
+    loops = {}
     for name, function in functions.items():
-        symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
-        named = ca.Function(
-            names.kernel(model.name, name), symbols, [function(*symbols)], list("txzup"), [name]
-        )
+        symbol = names.kernel(model.name, name)
+        if assembles(model, name):
+            loops[symbol] = name
+            named = stub(model, name, symbol, name in ("ode", "alg"))
+        else:
+            symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+            named = ca.Function(symbol, symbols, [function(*symbols)], list("txzup"), [name])
         generator.add(named, name in ("ode", "alg"))
-    return str(generator.dump())
+    add_kernels(generator, model, loops)
+    return with_loops(str(generator.dump()), model, loops)
 
 
 def _block(

@@ -6,6 +6,7 @@ import ctypes
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,11 @@ class Simulator:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "model": None}
 
+    @property
+    def function(self) -> Any:
+        """The C function <name>_simulate_sampled as ctypes has it, for who counts microseconds."""
+        return _loaded(str(self.path), f"{self.name}_simulate_sampled")
+
     def __call__(
         self,
         t_end: float,
@@ -75,12 +81,9 @@ class Simulator:
         tolerances = (self.rtol if rtol is None else rtol, self.atol if atol is None else atol)
         n = len(self.labels["x"]) + len(self.labels["z"])
         out, stats = np.full((points, n), np.nan), _Stats()
-        function = getattr(ctypes.CDLL(str(self.path)), f"{self.name}_simulate_sampled")
-        code = function(
-            ctypes.c_double(t_start), ctypes.c_double(t_end), _pointer(x),
-            ctypes.c_int(len(times)), _pointer(times), _pointer(u), _pointer(p),
-            *map(ctypes.c_double, tolerances), ctypes.c_int(points), _pointer(out),
-            ctypes.byref(stats),
+        code = self.function(
+            t_start, t_end, _pointer(x), len(times), _pointer(times), _pointer(u), _pointer(p),
+            *tolerances, points, _pointer(out), ctypes.byref(stats),
         )  # fmt: skip
         if code == 1:
             raise ValueError(
@@ -148,6 +151,15 @@ class Simulator:
             self.model.measure if self.model else None,
             self.model.left_out if self.model else (),
         )  # fmt: skip
+
+
+@cache
+def _loaded(path: str, name: str) -> Any:
+    function, number, whole = getattr(ctypes.CDLL(path), name), ctypes.c_double, ctypes.c_int
+    function.restype = whole
+    function.argtypes = (number, number, _DOUBLES, whole, _DOUBLES, _DOUBLES, _DOUBLES, number,
+                         number, whole, _DOUBLES, ctypes.POINTER(_Stats))  # fmt: skip
+    return function
 
 
 def _pointer(values: np.ndarray) -> Any:

@@ -15,6 +15,7 @@ from ..model import Model
 from .c import call_lines
 from .dop853_text import explicit_parts, tangent_parts
 from .files import MANIFEST, Artefact, sha256, write_folder
+from .loops import add_kernels, assembles, stub, with_loops
 from .simulator_casadi import casadi_text
 from .simulator_texts import (
     card_text,
@@ -105,18 +106,24 @@ def _check(model: Model, integrator: Exportable, sensitivities: bool) -> None:
 def _explicit(model: Model, integrator: Exportable, sensitivities: bool) -> str:
     wanted = ["ode", *(("ode_forward", "ode_adjoint") if sensitivities else ())]
     generator = ca.CodeGenerator(f"{model.name}_sim_casadi")
-    wrappers = []
+    wrappers, loops = [], {}
     for key in wanted:
-        kernel = _renamed(model.function(key), f"{model.name}_sim_casadi_{key}")
+        symbol = f"{model.name}_sim_casadi_{key}"
+        if assembles(model, key):
+            loops[symbol], kernel = key, stub(model, key, symbol)
+        else:
+            kernel = _renamed(model.function(key), symbol)
         generator.add(kernel)
         wrappers.append(_wrapper(model, key, kernel))
+    add_kernels(generator, model, loops)
+    text = with_loops(str(generator.dump()), model, loops)
     marks = simulator_marks(model, integrator) | explicit_parts()
     marks |= tangent_parts() if sensitivities else {}
     watch = "dop853_tangent" if sensitivities else "dop853_plain"
     files = ["simulator_common", "dop853", watch, "dop853_run", "simulator_constant"]
     files += ["dop853_sensitivity"] if sensitivities else []
     texts = [template(f"{file}.c", marks) for file in files]
-    return simulator_file(model, str(generator.dump()), [*wrappers, *texts])
+    return simulator_file(model, text, [*wrappers, *texts])
 
 
 def _renamed(function: ca.Function, name: str) -> ca.Function:
