@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
 import statistics
-import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,37 +16,8 @@ from rbsd_sym.pipeline import make_experiment
 
 RUNS = 5
 IDAS = rs.Idas(rtol=1e-8, atol=1e-10)
-_WORK = 1e8  # instructions of all repetitions together: long enough for the clock
-_RK4 = """
-#define _POSIX_C_SOURCE 199309L
-#include <math.h>
-#include <stdio.h>
-#include <time.h>
-#include "@NAME.h"
-static double x[@N], y[@N], k[4][@N], u[@U + 1], p[@P + 1];
-int main(void) {
-  const double h = @H, part[4] = {0, 0.5, 0.5, 1};
-  double size = 0;
-  struct timespec a, b;
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &a);
-  for (int run = 0; run < @REPEATS; ++run) {
-    @NAME_defaults(x, NULL, u, p);
-    for (int n = 0; n < @STEPS; ++n) {
-      for (int s = 0; s < 4; ++s) {
-        for (int i = 0; i < @N; ++i) y[i] = s ? x[i] + part[s] * h * k[s - 1][i] : x[i];
-        if (@NAME_ode((n + part[s]) * h, y, NULL, u, p, k[s])) return 1;
-      }
-      for (int i = 0; i < @N; ++i)
-        x[i] += h / 6 * (k[0][i] + 2 * k[1][i] + 2 * k[2][i] + k[3][i]);
-    }
-  }
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &b);
-  for (int i = 0; i < @N; ++i) size += fabs(x[i]);
-  printf("%.9g %.9g\\n", ((b.tv_sec - a.tv_sec) * 1e3 + (b.tv_nsec - a.tv_nsec) / 1e6) / @REPEATS,
-         size);
-  return 0;
-}
-"""
+IN_C = rs.Dop853(rtol=1e-6, atol=1e-8)
+_REPEATED = 5e-3  # s of CPU time that one measurement takes at least
 
 
 @dataclass(frozen=True)
@@ -55,22 +26,7 @@ class Row:
 
     scene: str
     t_end: float
-    step: float
     values: Mapping[str, tuple[float, float]]
-
-
-def stable_step(model: rs.Model) -> float:
-    """A step 1, 2 or 5 times a power of ten with h |lambda| <= 1 at the start.
-
-    The method itself stands up to about 2.7; the rest is for eigenvalues that grow on the way.
-    """
-    p = np.array([label.start for label in model.dae.p_labels])
-    u = [label.start for label in model.dae.u_labels]
-    x, z = model.dae.start_values(p)
-    eigenvalues = np.linalg.eigvals(np.array(model.function("dode_dx")(0, x, z, u, p)))
-    limit = 1 / np.abs(eigenvalues).max()
-    power = 10.0 ** np.floor(np.log10(limit))
-    return float(max(m * power for m in (1, 2, 5) if m * power <= limit))
 
 
 def cpu_ms(action: Callable[[], object]) -> float:
@@ -95,52 +51,36 @@ def exported_bytes(model: rs.Model, folder: Path) -> int:
     return (folder / f"{model.name}.c").stat().st_size
 
 
-def rk4_program(model: rs.Model, t_end: float, step: float, folder: Path) -> Path:
-    """The compiled program that runs the classical Runge-Kutta method on the exported rates."""
-    rs.export_c(model, folder, ["ode"])
-    steps = round(t_end / step)
-    repeats = 1 + int(_WORK / (4 * steps * (model.operations("ode") + 4 * model.n_x)))
-    words = {
-        "NAME": model.name, "REPEATS": repeats, "STEPS": steps, "N": model.n_x, "U": model.n_u,
-        "P": model.n_p, "H": repr(step),
-    }  # fmt: skip
-    text = _RK4
-    for word, value in words.items():
-        text = text.replace(f"@{word}", str(value))
-    (folder / "rk4.c").write_text(text)
-    command = ["cc", "-O2", "-std=c99", "rk4.c", f"{model.name}.c", "-lm", "-o", "rk4"]
-    subprocess.run(command, cwd=folder, check=True)
-    return folder / "rk4"
+def simulator_timer(model: rs.Model, t_end: float, folder: Path) -> Callable[[], float]:
+    """A timer of one run of the exported simulator, the C call alone."""
+    simulator = rs.load_simulator(rs.export_simulator(model, folder, IN_C))
+    out, none = np.zeros(model.n_x), None
+    pointer = out.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
+    def run() -> None:
+        code = simulator.function(
+            0.0, t_end, none, 1, none, none, none, IN_C.rtol, IN_C.atol, 1, pointer, none
+        )
+        assert code == 0
+        assert np.isfinite(out).all()
 
-def rk4_ms(program: Path) -> float:
-    """Time of one integration, as the program measures it.
-
-    Raises:
-        ValueError: the result is not finite, so the step was not stable.
-    """
-    run = subprocess.run([str(program)], capture_output=True, text=True, check=True)
-    took, size = (float(word) for word in run.stdout.split())
-    if not np.isfinite(size):
-        raise ValueError(f"{program}: the step is not stable")
-    return took
+    count = 1 + int(1e3 * _REPEATED / cpu_ms(run))
+    return lambda: cpu_ms(lambda: [run() for _ in range(count)]) / count
 
 
 def measure(name: str, scene: rs.Scene, t_end: float, folder: Path) -> Row:
     """Everything about one scene; times are CPU times in ms for a run of `t_end` seconds.
 
     `simulate` is the whole call; `of it IDAS` leaves out the check of the motion that a minimal
-    model has left out. The step is that of the full model for both.
+    model has left out. `Dop853 in C` is the exported simulator.
     """
     models = [rs.compile_scene(scene, minimal=minimal) for minimal in (False, True)]
-    step = stable_step(models[0])
-    whole, idas, rk4 = [], [], []
+    whole, idas, in_c = [], [], []
     for model, kind in zip(models, ("full", "minimal"), strict=True):
         experiment = make_experiment(model, t_end, {}, {}, {})
-        program = rk4_program(model, t_end, step, folder / kind / "ode")
         whole.append(lambda m=model: cpu_ms(lambda: rs.simulate(m, t_end, IDAS)))
         idas.append(lambda m=model, e=experiment: cpu_ms(lambda: IDAS.solve(m, e)))
-        rk4.append(lambda p=program: rk4_ms(p))
+        in_c.append(simulator_timer(model, t_end, folder / kind / "simulator"))
     found = {
         "states": [model.n_x for model in models],
         "instructions": [model.operations("ode") for model in models],
@@ -150,20 +90,20 @@ def measure(name: str, scene: rs.Scene, t_end: float, folder: Path) -> Row:
         ],
         "simulate": medians(whole),
         "of it IDAS": medians(idas),
-        "RK4 in C": medians(rk4),
+        "Dop853 in C": medians(in_c),
     }
-    return Row(name, t_end, step, {title: (v[0], v[1]) for title, v in found.items()})
+    return Row(name, t_end, {title: (v[0], v[1]) for title, v in found.items()})
 
 
 def markdown(rows: list[Row]) -> str:
     """The rows as a Markdown table: full, minimal and their ratio for each quantity."""
-    head = ["scene", "t_end, s", "step, s"]
+    head = ["scene", "t_end, s"]
     for title in rows[0].values:
         unit = "" if title in ("states", "instructions", "bytes of C") else ", ms"
         head += [f"{title}{unit}: full", "minimal", "ratio"]
     lines = [head, ["---"] * len(head)]
     for row in rows:
-        cells = [row.scene, f"{row.t_end:g}", f"{row.step:g}"]
+        cells = [row.scene, f"{row.t_end:g}"]
         for full, small in row.values.values():
             cells += [_number(full), _number(small), f"{full / small:.1f}"]
         lines.append(cells)

@@ -2,7 +2,7 @@
 
 CasADi's own code for mapped kernels copies all arguments and all results; these loops keep an
 instance in cache. CasADi writes the kernels, and a stub for each function: its signature, its
-sparsity and the rest of what its loader asks for. The stub's body is replaced by a call of ours.
+sparsity and the rest of what its loader asks for. What the stub calls is replaced by our loops.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ _ARGUMENTS = "const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi
 
 _DIFFERENT = f"CasADi {ca.CasadiMeta.version()} writes functions differently; use 3.8.2"
 _QUIET = """#if defined(__GNUC__)
-#pragma GCC diagnostic ignored "-Wunused-const-variable" /* tables of what was replaced */
+#pragma GCC diagnostic ignored "-Wunused-const-variable" /* of what was replaced */
+#pragma GCC diagnostic ignored "-Wunused-function"
 #endif
 """
 
@@ -34,7 +35,7 @@ def stub(model: Model, name: str, symbol: str, with_pattern: bool = False) -> ca
     """A function with the signature and the sparsity of the real one; on request its Jacobian's."""
     parts = model.assembly.assembled(name)
     symbols = [ca.MX.sym(v, size) for v, size in zip("txzup", _sizes(model), strict=True)]
-    value = ca.MX(parts.pattern, ca.repmat(symbols[0], parts.pattern.nnz()))
+    value = ca.MX(parts.pattern, 1.0)
     if with_pattern:
         value = ca.MX(*parts.pattern.shape)
         for v, column in zip("txzup", symbols, strict=True):
@@ -75,31 +76,20 @@ def _sizes(model: Model) -> tuple[int, ...]:
 
 def _strip(text: str, symbol: str) -> tuple[str, str]:
     """Drop what CasADi writes for callers of a kernel; the name of its static function."""
-    block = re.compile(
-        rf"CASADI_SYMBOL_EXPORT int {symbol}\([^)]*\){{\s*return (casadi_f\d+)\(.*?(?=/\* |\Z)",
-        re.S,
-    )
-    match = block.search(text)
+    head = rf"CASADI_SYMBOL_EXPORT int {symbol}\([^)]*\){{\s*return (casadi_f\d+)\("
+    match = re.search(head + r".*?(?=/\* |\Z)", text, re.S)
     if match is None:
-        raise RuntimeError(
-            f"CasADi {ca.CasadiMeta.version()} writes functions differently; use 3.8"
-        )
+        raise RuntimeError(_DIFFERENT)
     return text[: match.start()] + text[match.end() :], match[1]
 
 
 def _call_loops(text: str, symbol: str) -> str:
-    """Let the stub call our loops; its own body goes."""
-    body = re.compile(
-        rf"static int (casadi_f\d+)\({re.escape(_ARGUMENTS)}\) {{(?:(?!\nstatic int ).)*?\n}}\n\n"
-        rf"(?=CASADI_SYMBOL_EXPORT int {symbol}\()", re.S,
-    )  # fmt: skip
-    text, count = body.subn(f"static int {symbol}_loops({_ARGUMENTS});\n\n", text)
-    call = re.compile(rf"(CASADI_SYMBOL_EXPORT int {symbol}\([^)]*\){{\s*return )casadi_f\d+\(")
-    text, called = call.subn(rf"\1{symbol}_loops(", text)
-    if count != 1 or called != 1:
-        raise RuntimeError(
-            f"CasADi {ca.CasadiMeta.version()} writes functions differently; use 3.8"
-        )
+    """Let the stub call our loops."""
+    head = rf"(CASADI_SYMBOL_EXPORT int {symbol}\([^)]*\){{\s*return )casadi_f\d+\("
+    declared = rf"static int {symbol}_loops({_ARGUMENTS});\n\n\1{symbol}_loops("
+    text, count = re.subn(head, declared, text)
+    if count != 1:
+        raise RuntimeError(_DIFFERENT)
     return text
 
 
