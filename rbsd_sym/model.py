@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -154,6 +154,11 @@ class Model:
                 expression = ca.substitute(expression, self.dae.idle_p, ca.DM(defaults))
             self.memo[name] = ca.Function(safe, self.symbols, [expression], list("txzup"), [safe])
         return self.memo[name]
+
+    @property
+    def plain(self) -> Model:
+        """The model with functions of its own in place of compiled ones."""
+        return replace(self, library={}, memo={}) if self.library else self
 
     @property
     def calls(self) -> bool:

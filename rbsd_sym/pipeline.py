@@ -45,6 +45,9 @@ class IntegrationError(RuntimeError):
         super().__init__(f"{trajectory.name}: {trajectory.report}")
         self.trajectory = trajectory
 
+    def __reduce__(self) -> tuple[type[IntegrationError], tuple[Trajectory]]:
+        return IntegrationError, (self.trajectory,)
+
 
 _LAYOUTS = {"auto": None, "flat": False, "kernels": True}
 

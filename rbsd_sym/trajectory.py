@@ -106,6 +106,10 @@ class Trajectory:
     more: Callable[[str, Trajectory], Column] | None = field(default=None, repr=False)
     also: tuple[str, ...] = ()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What is sent to other processes: the columns evaluated so far, not the model."""
+        return {**self.__dict__, "more": None}
+
     def __getitem__(self, name: str) -> np.ndarray:
         return self.column(name).values
 

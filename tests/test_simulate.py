@@ -7,6 +7,7 @@ import importlib
 import inspect
 import math
 import os
+import pickle
 import pkgutil
 from collections.abc import Callable
 from itertools import pairwise
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import reference_scenes
 from numpy.typing import NDArray
 from oracles import closed_forms, rotations
 
@@ -382,3 +384,15 @@ def test_error_follows_tolerance_or_step(driven: rs.Model, kind: Any) -> None:
     errors = [error_at(driven, kind(rtol, 1e-2 * rtol)) for rtol in tolerances]
     assert all(error < 10 * rtol for error, rtol in zip(errors, tolerances, strict=True)), errors
     assert all(a > 100 * b for a, b in pairwise(errors)), errors
+
+
+def test_trajectories_and_failures_travel_between_processes() -> None:
+    trajectory = rs.simulate(rs.compile_scene(reference_scenes.build("mini")), 0.1)
+    energy = trajectory["energy"]
+    copy = pickle.loads(pickle.dumps(trajectory))
+    assert (copy["energy"] == energy).all()
+    with pytest.raises(ValueError, match="no column 'momentum'"):
+        copy["momentum"]
+    failure = pickle.loads(pickle.dumps(rs.IntegrationError(trajectory)))
+    assert str(failure) == str(rs.IntegrationError(trajectory))
+    assert (failure.trajectory.t == trajectory.t).all()

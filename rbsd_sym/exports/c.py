@@ -35,6 +35,7 @@ def export_c(
     Raises:
         ValueError: unknown function, names that collide in C, a folder that cannot be written.
     """
+    model = model.plain
     chosen = list(functions) if functions is not None else _default(model)
     exported = [_exported(model, name) for name in dict.fromkeys(chosen)]
     target = Path(folder)

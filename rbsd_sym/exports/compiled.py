@@ -24,7 +24,10 @@ def compiled(model: Model, compiler: str | None = None, flags: Sequence[str] = O
         CompilerMissing: there is no compiler.
         RuntimeError: the compiler failed; with its message.
     """
+    model = model.plain
     rates = [name for name, rows in (("ode", model.n_x), ("alg", model.n_z)) if rows]
+    if not rates:
+        return model  # nothing in the scene can move
     blocks = {f"d{name}_d{v}": model.function(f"d{name}_d{v}") for name in rates for v in "txzup"}
     full = {key: block for key, block in blocks.items() if block.nnz_out(0)}
     functions = full | {name: model.function(name) for name in rates}

@@ -93,7 +93,7 @@ def check_folder(folder: Path, manifest: dict, file: str, model: Model | None) -
     if model is not None and manifest["digest"] != model.digest:
         raise ValueError(
             f"{folder}: library model {manifest['digest']} does not match model {model.digest}; "
-            "run export_c(model, folder) again"
+            f"run {'export_simulator' if 'kind' in manifest else 'export_c'}(model, folder) again"
         )
     texts = {}
     for name in (f"{file}.c", f"{file}.h"):

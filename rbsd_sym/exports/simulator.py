@@ -67,6 +67,7 @@ def export_simulator(
     Raises:
         ValueError: a method that cannot be written to C, or not for this model.
     """
+    model = model.plain
     _check(model, integrator, sensitivities)
     name = simulator_name(model)
     source = (
