@@ -37,6 +37,7 @@ class Simulator:
     Arguments:
         labels: name, unit and start value of each entry of x, z, u and p.
         rtol, atol: used where a call gives none.
+        moves: whether the start depends on parameters; then values of them need the model.
     """
 
     path: Path
@@ -45,6 +46,7 @@ class Simulator:
     labels: Mapping[str, Sequence[tuple[str, str, float]]]
     rtol: float
     atol: float
+    moves: bool = False
     model: Model | None = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -76,7 +78,8 @@ class Simulator:
         Raises:
             ValueError: unknown names, values that make no sense.
         """
-        x, p = self._values("x", start or {}), self._values("p", params or {})
+        p = self._values("p", params or {})
+        x = self._start(start or {}, p, bool(params))
         times, u = self._samples(inputs or {})
         tolerances = (self.rtol if rtol is None else rtol, self.atol if atol is None else atol)
         n = len(self.labels["x"]) + len(self.labels["z"])
@@ -93,9 +96,22 @@ class Simulator:
         t = np.append(t_start, t_start + (t_end - t_start) * np.arange(1, points + 1) / points)
         return self._trajectory(t, x, out, times, u, p, code, stats)
 
-    def _values(self, kind: str, given: Mapping[str, float]) -> np.ndarray:
+    def _start(self, given: Mapping[str, float], p: np.ndarray, changed: bool) -> np.ndarray:
+        if self.moves and self.model is not None:
+            return self._values("x", given, self.model.dae.start_values(p)[0])
+        if self.moves and changed and len(given) < len(self.labels["x"]):
+            raise ValueError(
+                f"simulator '{self.name}': its start depends on parameters; load it with the model "
+                "(load_simulator(folder, model)), or give all of start"
+            )
+        return self._values("x", given)
+
+    def _values(
+        self, kind: str, given: Mapping[str, float], base: np.ndarray | None = None
+    ) -> np.ndarray:
         names = [name for name, _, _ in self.labels[kind]]
-        values = np.array([start for _, _, start in self.labels[kind]], float)
+        usual = [start for _, _, start in self.labels[kind]]
+        values = np.array(usual if base is None else base, float)
         for name, value in given.items():
             if name not in names:
                 raise ValueError(
@@ -130,10 +146,12 @@ class Simulator:
         self, t: np.ndarray, x: np.ndarray, out: np.ndarray, times: np.ndarray, u: np.ndarray,
         p: np.ndarray, code: int, stats: _Stats,
     ) -> Trajectory:  # fmt: skip
-        z = np.full(len(self.labels["z"]), np.nan)
+        z = np.full(len(self.labels["z"]), np.nan)  # known to the model alone
+        if self.model is not None and len(z):
+            guess = self.model.dae.start_values(p)[1]
+            first = np.array([np.interp(t[0], times, column) for column in u.T])
+            z, _ = self.model.consistent(float(t[0]), x, guess, first, p)
         rows = np.vstack([np.concatenate([x, z]), out])
-        if len(z):
-            rows[0, len(x) :] = out[0, len(x) :]
         reached = t <= stats.t * (1 + 1e-14) if code else np.full(len(t), True)
         n = max(1, int(reached.sum()))
         names = [*self.labels["x"], *self.labels["z"]]
@@ -145,6 +163,8 @@ class Simulator:
         numbers = {"steps": float(stats.steps), "rejected_steps": float(stats.rejected),
                    "evaluations": float(stats.evaluations)}  # fmt: skip
         parameters = {name: float(v) for (name, _, _), v in zip(self.labels["p"], p, strict=True)}
+        if self.model is not None:
+            parameters |= {label.name: label.start for label in self.model.dae.idle_p_labels}
         return Trajectory(
             self.name, t[:n], columns, outcome, report, numbers, parameters,
             tuple(name for name, _, _ in names), self.digest,
@@ -176,7 +196,8 @@ def load_simulator(
 
     Arguments:
         source: what `export_simulator` gave, or its folder.
-        model: if given, the folder must be of this very model, and trajectories have its outputs.
+        model: if given, the folder must be of this very model, and trajectories have its outputs, and
+            the algebraic unknowns at the start, which are NaN otherwise.
         compiler, flags: as in `load_c`.
 
     Raises:
@@ -195,5 +216,5 @@ def load_simulator(
               for kind, rows in manifest["labels"].items()}  # fmt: skip
     return Simulator(
         path, name, str(manifest["digest"]), labels, float(manifest["rtol"]),
-        float(manifest["atol"]), model,
+        float(manifest["atol"]), bool(manifest["moves"]), model,
     )  # fmt: skip

@@ -153,7 +153,7 @@ def _manifest(
         "rbsd_sym": version.VERSION, "abi": version.ABI, "casadi": ca.CasadiMeta.version(),
         "kind": SIMULATOR, "name": model.name, "digest": model.digest, "functions": {},
         "method": type(integrator).__name__, "rtol": integrator.rtol, "atol": integrator.atol,
-        "sensitivities": sensitivities,
+        "sensitivities": sensitivities, "moves": bool(ca.symvar(dae.x_start)),
         "labels": {
             kind: [[v.name, v.unit, v.start] for v in getattr(dae, f"{kind}_labels")]
             for kind in ("x", "z", "u", "p")
