@@ -196,7 +196,7 @@ def load_simulator(
 
     Arguments:
         source: what `export_simulator` gave, or its folder.
-        model: if given, the folder must be of this very model, and trajectories have its outputs, and
+        model: if given, the folder must be of this very model; trajectories then have outputs, and
             the algebraic unknowns at the start, which are NaN otherwise.
         compiler, flags: as in `load_c`.
 
