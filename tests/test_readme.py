@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -26,13 +27,20 @@ def blocks(language: str) -> list[str]:
 def test_python_and_c_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {}
-    for block in blocks("python"):
-        exec(compile(block, "README.md", "exec"), namespace)
+    scene, compiled, script = blocks("python")
+    exec(compile(scene, "README.md", "exec"), namespace)
     trajectory = namespace["trajectory"]
     assert isinstance(trajectory, rs.Trajectory)
     assert trajectory.outcome is rs.Outcome.reached_end
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
+    exec(compile(compiled, "README.md", "exec"), namespace)
+    (tmp_path / "script.py").write_text(script)
+    environment = {**os.environ, "PYTHONPATH": str(Path(rs.__file__).parents[1])}
+    table = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True,
+                           check=True, env=environment).stdout  # fmt: skip
+    assert table.count("\n") == 4, table
+    assert "Error" not in table
     include, body = blocks("c")[0].split("\n", 1)
     program = (
         f"#include <stdio.h>\n{include}\nint main(void) {{\n{body}\n"
