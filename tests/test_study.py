@@ -403,9 +403,11 @@ def test_a_script_without_a_main_guard_is_told(tmp_path: Path) -> None:
     assert 'belongs under `if __name__ == "__main__":`' in result.stderr.splitlines()[-1]
 
 
-def test_exceptions_that_do_not_pickle_and_exits_are_rows() -> None:
-    with pytest.raises(Exception, match=r"argument|pickle"):
-        pickle.loads(pickle.dumps(_integration_error()))
+def test_exceptions_and_exits_are_rows() -> None:
+    with pytest.raises(TypeError, match="argument"):
+        pickle.loads(pickle.dumps(_Awkward(1, 2)))
+    awkward = sweep(raises_awkward, [{"k": 1}])  # would break a plain pool
+    assert awkward.rows == ((1, "_Awkward: 1 and 2"),)
     table = sweep(stuck, [{"k": 1}])
     assert table.columns == ("k", "error")
     assert table.rows[0][1].startswith("IntegrationError: mini: ")
@@ -418,12 +420,15 @@ def test_exceptions_that_do_not_pickle_and_exits_are_rows() -> None:
     )
 
 
-def _integration_error() -> rs.IntegrationError:
-    try:
-        stuck({})
-    except rs.IntegrationError as error:
-        return error
-    raise AssertionError
+class _Awkward(Exception):
+    """One that pickles, but does not come back."""
+
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+def raises_awkward(point: Any) -> float:
+    raise _Awkward(1, 2)
 
 
 def print_nothing(point: dict[str, Any]) -> None:
