@@ -287,6 +287,13 @@ def test_trajectories_of_simulators(tmp_path: Path) -> None:
     assert np.abs(rest["b.p_x"] - found["b.p_x"][20:]).max() < 1e-8
 
 
+def test_restart_with_unknowns(tmp_path: Path) -> None:
+    simulator = rs.load_simulator(rs.export_simulator(test_simulator.kelvin(), tmp_path, ROS))
+    half = simulator(0.2, points=2)
+    rest = simulator(0.4, half.state_at_end, points=2, t_start=0.2)
+    assert rest["a.p_x"][-1] == pytest.approx(simulator(0.4)["a.p_x"][-1], rel=1e-7)
+
+
 @every_method
 def test_threads_do_not_disturb_each_other(method: Any, tmp_path: Path) -> None:
     model = driven() if method is ROS else test_simulator.hub()

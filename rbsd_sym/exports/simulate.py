@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..model import Model
+from ..symbols import is_number
 from ..trajectory import Column, Outcome, Trajectory
 from .files import Artefact, read_manifest
 from .load import OPTIMISED, build, check_folder
@@ -30,12 +31,13 @@ class _Stats(ctypes.Structure):
                 ("rejected", ctypes.c_long), ("evaluations", ctypes.c_long))  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Simulator:
     """A compiled simulator; it can be sent to other processes of the same machine.
 
     Arguments:
-        labels: name, unit and start value of each entry of x, z, u and p.
+        labels: name, unit and start value of each entry of x, z, u, p and of parameters that have
+            no effect on the motion ("idle_p").
         rtol, atol: used where a call gives none.
         moves: whether the start depends on parameters; then values of them need the model.
     """
@@ -71,15 +73,19 @@ class Simulator:
         """Simulate; a failure is data in `outcome`.
 
         Arguments:
-            start, params: values by name; the others keep their default.
+            start, params: values by name; the others keep their default. Algebraic unknowns
+                follow from the states: values of them are not used.
             inputs: by name: a number, or samples (times, values), linear between them.
             points: saved after the start, equally spaced.
 
         Raises:
             ValueError: unknown names, values that make no sense.
         """
-        p = self._values("p", params or {})
-        x = self._start(start or {}, p, bool(params))
+        idle = [name for name, _, _ in self.labels["idle_p"]]
+        p = self._values("p", {k: v for k, v in (params or {}).items() if k not in idle})
+        unknowns = [name for name, _, _ in self.labels["z"]]
+        given = {k: v for k, v in (start or {}).items() if k not in unknowns}
+        x = self._start(given, p, bool(params))
         times, u = self._samples(inputs or {})
         tolerances = (self.rtol if rtol is None else rtol, self.atol if atol is None else atol)
         n = len(self.labels["x"]) + len(self.labels["z"])
@@ -94,7 +100,10 @@ class Simulator:
                 f"rtol, atol {tolerances}; times increase, points and tolerances are above 0"
             )
         t = np.append(t_start, t_start + (t_end - t_start) * np.arange(1, points + 1) / points)
-        return self._trajectory(t, x, out, times, u, p, code, stats)
+        values = {name: value for name, _, value in self.labels["idle_p"]} | dict(params or {})
+        names = [name for name, _, _ in self.labels["p"]]
+        values |= {name: float(v) for name, v in zip(names, p, strict=True)}
+        return self._trajectory(t, x, out, times, u, p, values, code, stats)
 
     def _start(self, given: Mapping[str, float], p: np.ndarray, changed: bool) -> np.ndarray:
         if self.moves and self.model is not None:
@@ -122,10 +131,9 @@ class Simulator:
 
     def _samples(self, inputs: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
         """Times (n,) of all samples and values (n, n_u) there."""
-        constant = {k: v for k, v in inputs.items() if np.ndim(v) == 0}
+        constant = {k: float(v) for k, v in inputs.items() if is_number(v)}
         base = self._values("u", constant | dict.fromkeys(set(inputs) - set(constant), 0.0))
-        sampled = {k: tuple(np.array(part, float) for part in v)
-                   for k, v in inputs.items() if k not in constant}  # fmt: skip
+        sampled = {k: _parts(v) for k, v in inputs.items() if k not in constant}
         if not sampled:
             return np.zeros(1), base[None, :].copy()
         for name, value in sampled.items():
@@ -144,7 +152,7 @@ class Simulator:
 
     def _trajectory(
         self, t: np.ndarray, x: np.ndarray, out: np.ndarray, times: np.ndarray, u: np.ndarray,
-        p: np.ndarray, code: int, stats: _Stats,
+        p: np.ndarray, parameters: Mapping[str, float], code: int, stats: _Stats,
     ) -> Trajectory:  # fmt: skip
         z = np.full(len(self.labels["z"]), np.nan)  # known to the model alone
         if self.model is not None and len(z):
@@ -162,9 +170,6 @@ class Simulator:
         report = outcome.value if outcome.ok else f"{outcome.value} at t = {stats.t:.9g} s"
         numbers = {"steps": float(stats.steps), "rejected_steps": float(stats.rejected),
                    "evaluations": float(stats.evaluations)}  # fmt: skip
-        parameters = {name: float(v) for (name, _, _), v in zip(self.labels["p"], p, strict=True)}
-        if self.model is not None:
-            parameters |= {label.name: label.start for label in self.model.dae.idle_p_labels}
         return Trajectory(
             self.name, t[:n], columns, outcome, report, numbers, parameters,
             tuple(name for name, _, _ in names), self.digest,
@@ -180,6 +185,14 @@ def _loaded(path: str, name: str) -> Any:
     function.argtypes = (number, number, _DOUBLES, whole, _DOUBLES, _DOUBLES, _DOUBLES, number,
                          number, whole, _DOUBLES, ctypes.POINTER(_Stats))  # fmt: skip
     return function
+
+
+def _parts(value: Any) -> tuple[np.ndarray, ...]:
+    """Times and values of samples; nothing, if it is something else."""
+    try:
+        return tuple(np.array(part, float) for part in value)
+    except (TypeError, ValueError):
+        return ()
 
 
 def _pointer(values: np.ndarray) -> Any:
@@ -213,8 +226,8 @@ def load_simulator(
     text = check_folder(folder, manifest, f"{name}_simulate", model)
     path = build(f"{name}_simulate-{manifest['digest']}", text, compiler, flags)
     labels = {kind: tuple((str(n), str(unit), float(start)) for n, unit, start in rows)
-              for kind, rows in manifest["labels"].items()}  # fmt: skip
+              for kind, rows in ({"idle_p": []} | manifest["labels"]).items()}  # fmt: skip
     return Simulator(
         path, name, str(manifest["digest"]), labels, float(manifest["rtol"]),
-        float(manifest["atol"]), bool(manifest["moves"]), model,
+        float(manifest["atol"]), bool(manifest.get("moves")), model,
     )  # fmt: skip

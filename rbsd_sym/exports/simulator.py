@@ -156,7 +156,7 @@ def _manifest(
         "sensitivities": sensitivities, "moves": bool(ca.symvar(dae.x_start)),
         "labels": {
             kind: [[v.name, v.unit, v.start] for v in getattr(dae, f"{kind}_labels")]
-            for kind in ("x", "z", "u", "p")
+            for kind in ("x", "z", "u", "p", "idle_p")
         },
         "files": {name: sha256(text) for name, text in sorted(texts.items())},
     }  # fmt: skip

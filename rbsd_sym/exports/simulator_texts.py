@@ -61,11 +61,12 @@ def header_text(model: Model, integrator: Any, sensitivities: bool) -> str:
               ("p", "Parameters: unit, default value.", dae.p_labels))  # fmt: skip
     sizes = [(f"{upper}_N_{kind.upper()}", len(labels), "") for kind, _, labels in groups]
     indices = [line for group in groups for line in index_lines(f"{model.name}_sim", *group)]
+    stack = 8 * rows * (120 if integrator.plugin else 70 if sensitivities else 30)
     marks = {
         "name": model.name, "NAME": upper, "SIZES": "\n".join(enum_lines(sizes)),
         "INDICES": "\n".join(indices), "N_X": model.n_x, "N_U": model.n_u, "N_P": model.n_p,
         "N": rows, "N_W": rows + model.n_u + model.n_p, "N_ROW": rows + 2,
-        "RTOL": integrator.rtol, "ATOL": integrator.atol, "STACK": _about(30 * 8 * rows),
+        "RTOL": integrator.rtol, "ATOL": integrator.atol, "STACK": _about(stack),
         "ROWS": "states, then the algebraic unknowns," if model.n_z else "states",
         "SENSITIVITIES": "",
     }  # fmt: skip

@@ -79,17 +79,22 @@ class Dop853:
 
     def _integrate(self, rates: _Rates, run: _Run) -> Outcome:
         k, x, end = run.k, run.x[0].copy(), run.end
+        shortest = 16 * _EPSILON * max(abs(run.t), abs(end))
         k[0] = rates(run.t, x)
+        if not np.isfinite(k[0]).all():
+            return Outcome.not_finite
         h, before, rejected = self._first_step(rates, run, x), 1e-4, False
         while run.t < end:
             last = run.t + 1.01 * h >= end
             h = end - run.t if last else h
+            if h <= shortest and not last:
+                return Outcome.step_too_small
             if run.steps + run.rejected >= self.max_steps:
                 return Outcome.too_many_steps
             y = _step(rates, run.t, h, x, k)
             e = self._error(h, x, y, k)
             if not e <= 1:
-                if h <= 16 * _EPSILON * max(abs(run.t), abs(end)):
+                if h <= shortest:
                     return Outcome.step_too_small if np.isfinite(e) else Outcome.not_finite
                 h *= max(0.333, 0.9 * e**-0.125) if np.isfinite(e) else 0.1
                 run.rejected, rejected = run.rejected + 1, True
@@ -106,11 +111,14 @@ class Dop853:
 
     def _error(self, h: float, x: np.ndarray, y: np.ndarray, k: np.ndarray) -> float:
         """Largest error of the step relative to the tolerance of a state."""
-        e5, e3 = E5 @ k, E3 @ k
-        square = e5 * e5 + 0.01 * e3 * e3
+        e5, e3 = np.abs(E5 @ k), 0.1 * np.abs(E3 @ k)
+        larger = np.maximum(e5, e3)
+        larger[larger == 0] = 1.0
+        r5, r3 = e5 / larger, e3 / larger
         scale = self.atol + self.rtol * np.maximum(np.abs(x), np.abs(y))
-        part = np.divide(e5 * e5, np.sqrt(square), out=np.zeros_like(x), where=square != 0)
-        worst = float((h * part / scale).max())
+        root = np.sqrt(r5 * r5 + r3 * r3)
+        root[root == 0] = 1.0
+        worst = float((h * e5 * r5 / (root * scale)).max())
         return worst if np.isfinite(y).all() else float("nan")
 
     def _first_step(self, rates: _Rates, run: _Run, x: np.ndarray) -> float:
