@@ -108,7 +108,7 @@ def _loops(model: Model, symbol: str, parts: Assembled, kernels: Sequence[str]) 
 
 
 def _stacked(sizes: Sequence[int]) -> list[str]:
-    """All = [x; z; u; p]: x itself, if there is nothing else. A NULL reads as zeros."""
+    """All = [x; z; u; p], a NULL read as zeros."""
     lines = [f"  casadi_real all[{max(1, sum(sizes))}];"]
     first = 0
     for i, size in enumerate(sizes, start=1):

@@ -115,7 +115,7 @@ def card_text(model: Model, integrator: Any, sensitivities: bool) -> str:
         f"cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example", "```", "",
         f"`{name}.h` is the contract. To write this folder again:", "", "```python",
         "import rbsd_sym as rs",
-        f"rs.export_simulator(rs.compile_scene(scene), folder, rs.{method}(){more})", "```", "",
+        f"rs.export_simulator(rs.compile_scene(scene), folder, rs.{integrator!r}{more})", "```", "",
         f"Tolerances, times and inputs are arguments; at most {integrator.max_steps} steps"
         + (" between two points." if integrator.plugin else " in all."), "",
     ]  # fmt: skip
