@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ..model import Model
 from ..trajectory import Outcome
 from .driver import Run, Verdict
 
@@ -27,6 +28,27 @@ def check_options(integrator: Any) -> None:
         if not (isinstance(value, (int, float)) and 0 < value < top and whole):
             kind = "whole number above 0" if name == "max_steps" else f"number in 0 ... {top}"
             raise ValueError(f"{where}: {name} {value!r}; it is a {kind}")
+
+
+def refuse_unknowns(model: Model) -> None:
+    """Explicit methods integrate ODEs.
+
+    Raises:
+        ValueError: the model has algebraic unknowns.
+    """
+    if model.n_z:
+        raise ValueError(
+            f"model '{model.name}': {model.n_z} algebraic unknowns; an explicit method "
+            "integrates ODEs only; use Idas() or Rosenbrock()"
+        )
+
+
+def runge_kutta_options(integrator: Any) -> dict[str, Any]:
+    """CasADi's options for its own one-step methods, without the tolerances."""
+    options: dict[str, Any] = {"max_num_steps": integrator.max_steps}
+    if integrator.max_step:
+        options["max_step_size"] = integrator.max_step
+    return options | dict(integrator.options)
 
 
 def judge_runge_kutta(result: Run, max_steps: int) -> Verdict:

@@ -12,7 +12,7 @@ import numpy as np
 from ..model import Model
 from ..tableau import E3, E5, A, C, D
 from ..trajectory import Experiment, Outcome, Trajectory
-from .checks import check_options
+from .checks import check_options, refuse_unknowns
 from .driver import assemble, failure_report, input_values
 from .signals import is_constant
 
@@ -57,11 +57,7 @@ class Dop853:
         Raises:
             ValueError: the model has algebraic unknowns.
         """
-        if model.n_z:
-            raise ValueError(
-                f"model '{model.name}': {model.n_z} algebraic unknowns; an explicit method "
-                "integrates ODEs only; use Idas() or Rosenbrock()"
-            )
+        refuse_unknowns(model)
         started = time.perf_counter()
         rates, run = _Rates(model, experiment), _Run(experiment)
         with np.errstate(over="ignore", invalid="ignore"):

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from ..model import Model
 from ..trajectory import Experiment, Trajectory
-from .checks import check_options, judge_runge_kutta
+from .checks import check_options, judge_runge_kutta, refuse_unknowns, runge_kutta_options
 from .driver import run
 
 
@@ -37,10 +37,7 @@ class ExplicitRK:
     @property
     def casadi_options(self) -> Mapping[str, Any]:
         """Options of the plugin, without the tolerances."""
-        options: dict[str, Any] = {"max_num_steps": self.max_steps}
-        if self.max_step:
-            options["max_step_size"] = self.max_step
-        return options | dict(self.options)
+        return runge_kutta_options(self)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
         """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.
@@ -48,11 +45,7 @@ class ExplicitRK:
         Raises:
             ValueError: the model has algebraic unknowns.
         """
-        if model.n_z:
-            raise ValueError(
-                f"model '{model.name}': {model.n_z} algebraic unknowns; an explicit method "
-                "integrates ODEs only; use Idas() or Rosenbrock()"
-            )
+        refuse_unknowns(model)
         options = {"reltol": self.rtol, "abstol": self.atol, **self.casadi_options}
         count = {"steps": "n_steps", "evaluations": "n_rhs", "rejected_steps": "n_reject"}
         judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from ..model import Model
 from ..trajectory import Experiment, Trajectory
-from .checks import check_options, judge_runge_kutta
+from .checks import check_options, judge_runge_kutta, runge_kutta_options
 from .driver import run
 
 
@@ -37,10 +37,7 @@ class Rosenbrock:
     @property
     def casadi_options(self) -> Mapping[str, Any]:
         """Options of the plugin, without the tolerances."""
-        options: dict[str, Any] = {"max_num_steps": self.max_steps}
-        if self.max_step:
-            options["max_step_size"] = self.max_step
-        return options | dict(self.options)
+        return runge_kutta_options(self)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
         """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""
