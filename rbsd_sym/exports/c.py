@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 
@@ -45,7 +46,10 @@ def export_c(
         "example.c": example_text(model, exported),
         "README.md": card_text(model, exported),
     }
-    texts[MANIFEST] = _manifest(model, exported, texts)
+    sizes = {f.name: {"rows": f.rows, "columns": f.columns, "numbers": f.numbers}
+             for f in exported}  # fmt: skip
+    kinds = ("x", "z", "u", "p", "out")
+    texts[MANIFEST] = manifest_text(model, texts, kinds, {"functions": sizes})
     write_folder(target, texts)
     return Artefact(target, model.name, model.digest, tuple(f.name for f in exported))
 
@@ -136,16 +140,16 @@ def _wrapper(model: Model, f: Exported) -> str:
     return "\n".join(lines)
 
 
-def _manifest(model: Model, functions: list[Exported], texts: dict[str, str]) -> str:
-    dae = model.dae
+def manifest_text(
+    model: Model, texts: Mapping[str, str], kinds: Sequence[str], more: Mapping[str, Any]
+) -> str:
+    """The manifest of a folder: origin, labels of those kinds, hashes of its files, and more."""
     content = {
         "rbsd_sym": version.VERSION, "abi": version.ABI, "casadi": ca.CasadiMeta.version(),
-        "name": model.name, "digest": model.digest,
-        "functions": {f.name: {"rows": f.rows, "columns": f.columns, "numbers": f.numbers}
-                      for f in functions},
+        "name": model.name, "digest": model.digest, **more,
         "labels": {
-            kind: [[v.name, v.unit, v.start] for v in getattr(dae, f"{kind}_labels")]
-            for kind in ("x", "z", "u", "p", "out")
+            kind: [[v.name, v.unit, v.start] for v in getattr(model.dae, f"{kind}_labels")]
+            for kind in kinds
         },
         "files": {name: sha256(text) for name, text in sorted(texts.items())},
     }  # fmt: skip

@@ -17,8 +17,9 @@ from .loops import add_kernels, assembles, stub, with_loops
 def compiled(model: Model, compiler: str | None = None, flags: Sequence[str] = OPTIMISED) -> Model:
     """The model with ode, alg and their Jacobians as machine code; integrators take it like any.
 
-    It pays where many evaluations follow: building takes about a second for a small scene, and the
-    library stays in the cache. Outputs and second derivatives stay as they were.
+    It pays where many evaluations follow: building takes 0.5 s for one body and connector, seconds
+    for flat models of thousands of instructions, and the library stays in the cache. Outputs and
+    second derivatives stay as they were.
 
     Raises:
         CompilerMissing: there is no compiler.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,11 +9,10 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import casadi as ca
 
-from .. import version
 from ..model import Model
-from .c import call_lines
+from .c import call_lines, manifest_text
 from .dop853_text import explicit_parts, tangent_parts
-from .files import MANIFEST, Artefact, sha256, write_folder
+from .files import MANIFEST, Artefact, write_folder
 from .loops import add_kernels, assembles, stub, with_loops
 from .simulator_casadi import casadi_text
 from .simulator_texts import (
@@ -80,7 +78,12 @@ def export_simulator(
         "example.c": example_text(model, integrator),
         "README.md": card_text(model, integrator, sensitivities),
     }
-    texts[MANIFEST] = _manifest(model, integrator, sensitivities, texts)
+    more = {
+        "kind": SIMULATOR, "functions": {}, "method": type(integrator).__name__,
+        "rtol": integrator.rtol, "atol": integrator.atol, "sensitivities": sensitivities,
+        "moves": bool(ca.symvar(model.dae.x_start)),
+    }  # fmt: skip
+    texts[MANIFEST] = manifest_text(model, texts, ("x", "z", "u", "p", "idle_p"), more)
     target = Path(folder)
     write_folder(target, texts)
     return Artefact(target, model.name, model.digest, ())
@@ -143,21 +146,3 @@ def _wrapper(model: Model, key: str, kernel: ca.Function) -> str:
             *call_lines(kernel, "result", given),
         ]
     )
-
-
-def _manifest(
-    model: Model, integrator: Exportable, sensitivities: bool, texts: Mapping[str, str]
-) -> str:
-    dae = model.dae
-    content = {
-        "rbsd_sym": version.VERSION, "abi": version.ABI, "casadi": ca.CasadiMeta.version(),
-        "kind": SIMULATOR, "name": model.name, "digest": model.digest, "functions": {},
-        "method": type(integrator).__name__, "rtol": integrator.rtol, "atol": integrator.atol,
-        "sensitivities": sensitivities, "moves": bool(ca.symvar(dae.x_start)),
-        "labels": {
-            kind: [[v.name, v.unit, v.start] for v in getattr(dae, f"{kind}_labels")]
-            for kind in ("x", "z", "u", "p", "idle_p")
-        },
-        "files": {name: sha256(text) for name, text in sorted(texts.items())},
-    }  # fmt: skip
-    return json.dumps(content, indent=1) + "\n"

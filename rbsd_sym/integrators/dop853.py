@@ -29,8 +29,9 @@ _ADVICE = {
 class Dop853:
     """Order 8(5, 3) [Hairer, Norsett, Wanner 1993, sec. II.10]; stiff connectors bind its step.
 
-    The method of choice for damped or slow scenes at errors below 1e-4. `export_simulator` writes
-    the same steps in C; here they are taken in Python, at some 20 us each plus 12 calls of `ode`.
+    `export_simulator` writes the same method in C, where it is the fastest here for scenes that are
+    not stiff (generated/charts/compiler.md). This one runs in Python: a step of one body takes
+    about 0.26 ms.
 
     Arguments:
         rtol, atol: relative and absolute local error of each state.

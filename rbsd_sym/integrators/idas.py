@@ -49,7 +49,7 @@ class Idas:
         max_order: of the BDF formula, 1 ... 5. Orders above 2 are unstable on the imaginary axis:
             for undamped stiff connectors 2 needs far fewer steps.
         linear_solver: CasADi name such as "qr", "csparse", "lapacklu". By default csparse above 60
-            states and unknowns, where it takes 0.6 to 0.9 times as long as qr on chains, qr below,
+            states and unknowns, where it takes 0.6 to 0.95 times as long as qr on chains, qr below,
             where they tie; `trajectory.stats` tells which.
         max_steps: within one output interval.
         max_step, first_step: s; None lets IDAS choose.
