@@ -18,12 +18,27 @@ from .exports import (
 )
 from .formulations import ModelWarning, Quaternion, TaitBryan
 from .integrators import Dop853, ExplicitRK, Idas, Rosenbrock
-from .laws import Consistent, Intrinsic, Standard
+from .laws import (
+    Consistent,
+    Contact,
+    Cubic,
+    Fracture,
+    Friction,
+    Impact,
+    Intrinsic,
+    LuGre,
+    Maxwell,
+    Plastic,
+    Standard,
+    Table,
+    stops,
+)
 from .model import Model
 from .pipeline import IntegrationError, compile_scene, simulate
 from .scene import Scene
 from .symbols import TIME, Input, Param, where
 from .trajectory import Outcome, Trajectory
+from .user_functions import Event
 from .version import VERSION as __version__
 
 __all__ = [
@@ -32,19 +47,28 @@ __all__ = [
     "Artefact",
     "CompilerMissing",
     "Consistent",
+    "Contact",
+    "Cubic",
     "Dop853",
+    "Event",
     "ExplicitRK",
+    "Fracture",
+    "Friction",
     "Idas",
+    "Impact",
     "Input",
     "IntegrationError",
     "Intrinsic",
     "Library",
     "Load",
+    "LuGre",
     "Marker",
+    "Maxwell",
     "Model",
     "ModelWarning",
     "Outcome",
     "Param",
+    "Plastic",
     "Quaternion",
     "RigidBody",
     "RigidBodySpringDamper",
@@ -52,6 +76,7 @@ __all__ = [
     "Scene",
     "Simulator",
     "Standard",
+    "Table",
     "TaitBryan",
     "Trajectory",
     "__version__",
@@ -63,6 +88,7 @@ __all__ = [
     "load_simulator",
     "plots",
     "simulate",
+    "stops",
     "study",
     "where",
 ]

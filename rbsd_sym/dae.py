@@ -7,128 +7,17 @@ the parts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from .newton import newton
+from .parts import Balance, Event, Hold, Label, Motion, Output, Part, Turn, Update, pick
 from .zeros import fold
-
-
-@dataclass(frozen=True)
-class Label:
-    """Name, unit and start (or default) value of one entry of x, z, u, p or y."""
-
-    name: str
-    unit: str
-    start: float = 0.0
-
-
-@dataclass(frozen=True)
-class Part:
-    """One kernel instance: rows[i] += kernel(t, x[reads], z[reads_z], constants)[i].
-
-    Arguments:
-        kernel: Function (t, x, z, c) -> (ode rows, alg rows), shared by all instances of a kind.
-        constants: column over (t, u, p); plain numbers fold into the code.
-    """
-
-    name: str
-    kernel: ca.Function
-    reads: tuple[int, ...]
-    reads_z: tuple[int, ...]
-    constants: ca.SX
-    ode_rows: tuple[int, ...]
-    alg_rows: tuple[int, ...] = ()
-
-    @cached_property
-    def numbers(self) -> np.ndarray:
-        """The constants, NaN where they are symbolic."""
-        return numbers_of(self.constants)
-
-    @cached_property
-    def signature(self) -> tuple[bytes, tuple[str, ...]]:
-        """What equal constants have in common, to be compared."""
-        symbolic = np.flatnonzero(np.isnan(self.numbers))
-        return self.numbers.tobytes(), tuple(str(self.constants[int(i)]) for i in symbolic)
-
-
-def pick(column: ca.SX, index: Sequence[int]) -> ca.SX:
-    """Entries of a column as a column, also none of them."""
-    return column[list(index)] if index else ca.SX(0, 1)
-
-
-def numbers_of(column: ca.SX) -> np.ndarray:
-    """Entries of a column as numbers, NaN where they are symbolic."""
-    if column.is_constant():
-        return np.array(ca.DM(column)).reshape(-1)
-    entries = ca.vertsplit(column) if column.numel() else []
-    return np.array([float(v) if v.is_constant() else np.nan for v in entries])
-
-
-@dataclass(frozen=True)
-class Output:
-    """A named quantity: value = kernel(t, x[reads], z[reads_z], constants), built on demand.
-
-    `build` gives the kernel, which all instances of a kind share, and the constants.
-    """
-
-    name: str
-    unit: str
-    components: tuple[str, ...]
-    shape: tuple[int, ...]
-    build: Callable[[], tuple[ca.Function, ca.SX]]
-    reads: tuple[int, ...]
-    reads_z: tuple[int, ...] = ()
-
-    @property
-    def labels(self) -> tuple[Label, ...]:
-        """A label for each component: `arm.position_x`, or the bare name of a scalar."""
-        if self.components == ("",):
-            return (Label(self.name, self.unit),)
-        return tuple(Label(f"{self.name}_{part}", self.unit) for part in self.components)
-
-
-@dataclass(frozen=True)
-class Turn:
-    """Where a rotation lives: rows of a quaternion (w, x, y, z) and of its angular velocity.
-
-    The angular velocity is in axes that turn along: q' = q (0, w) / 2.
-    """
-
-    name: str
-    quaternion: tuple[int, int, int, int]
-    velocity: tuple[int, int, int]
-
-
-@dataclass(frozen=True)
-class Balance:
-    """A motion without inertia: its rows of `ode` hold a force or torque, which must vanish.
-
-    Arguments:
-        coordinates, velocities: rows of the motion; coordinates' = kinematics(both).
-        idle: those of the velocities that have no inertia.
-        kinematics: Function (coordinates, velocities) -> rates, linear in the velocities.
-    """
-
-    name: str
-    coordinates: tuple[int, ...]
-    velocities: tuple[int, ...]
-    idle: tuple[int, ...]
-    kinematics: ca.Function
-
-    def basis(self, coordinates: ca.SX) -> ca.SX:
-        """Rates of the coordinates for unit velocities, a column each."""
-        units = ca.horzsplit(ca.SX.eye(len(self.velocities)))
-        return ca.horzcat(*(self.kinematics(coordinates, unit) for unit in units))
-
-    def away(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Symbols of coordinates and start, and the way between along each velocity."""
-        c, start = (ca.SX.sym(name, len(self.coordinates)) for name in ("c", "start"))
-        return c, start, self.basis(c).T @ (c - start)
 
 
 @dataclass(frozen=True)
@@ -167,6 +56,11 @@ class Dae:
         notes: what the user should know (audit of the scene, what was left out).
         turns: the quaternions among the states, so that passes know them without knowing bodies.
         balances: the motions without inertia, until a pass has made them algebraic.
+        motions: coordinates of the full scene, their velocities, and how steps move them.
+        events: what happens where a function falls through zero, in the order in which it happens
+            if several do so at once.
+        holds: rows of alg that hold a quantity, on top of what parts add to them.
+        updates: what is asked of data states after every accepted step.
         expansion: in a reduced model, what parts and outputs read instead of x.
         source: text that determines the model, for its digest.
     """
@@ -189,6 +83,10 @@ class Dae:
     notes: tuple[str, ...] = ()
     turns: tuple[Turn, ...] = ()
     balances: tuple[Balance, ...] = ()
+    motions: tuple[Motion, ...] = ()
+    events: tuple[Event, ...] = ()
+    holds: tuple[Hold, ...] = ()
+    updates: tuple[Update, ...] = ()
     expansion: Expansion | None = None
     only_requested: bool = False
     idle_p: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
@@ -200,10 +98,7 @@ class Dae:
         ode, alg = [ca.SX(0)] * self.x.numel(), [ca.SX(0)] * self.z.numel()
         way = self.expansion
         for part in self.parts:
-            reads = pick(self.states, part.reads)
-            d_ode, d_alg = self.contribution(part, reads)
-            if way and not reads.is_valid_input():  # some reads never move
-                d_ode = fold(d_ode, ca.vertcat(*self.symbols))
+            d_ode, d_alg = self._called(part)
             for i, row in enumerate(part.ode_rows):
                 j, k = (way.rows[row], way.alg_rows[row]) if way else (row, None)
                 if j is not None:
@@ -212,9 +107,72 @@ class Dae:
                     alg[k] = alg[k] + d_ode[i]
             for i, row in enumerate(part.alg_rows):
                 alg[row] = alg[row] + d_alg[i]
+        for hold in self.holds:
+            alg[hold.alg_row] += self._held(hold, ca.vertcat(ca.SX(0, 1), *ode))
         rows = ca.cse(ca.vertcat(ca.SX(0, 1), *ode, *alg))
         n = len(ode)
         return pick(rows, range(n)), pick(rows, range(n, rows.numel()))
+
+    def _called(self, item: Any) -> list[ca.SX]:
+        """Results of the kernel of a part, event, hold or update, flat."""
+        reads = pick(self.states, item.reads)
+        results = item.kernel(self.t, reads, pick(self.z, item.reads_z), item.constants)
+        if self.expansion and not reads.is_valid_input():  # some reads never move
+            everything = ca.vertcat(*self.symbols)
+            return [fold(result, everything) for result in results]
+        return list(results)
+
+    def _held(self, hold: Hold, ode: ca.SX) -> ca.SX:
+        value, weight = self._called(hold)
+        return weight * (ca.jtimes(value, self.x, ode) + ca.jacobian(value, self.t))
+
+    def held(self, hold: Hold) -> ca.SX:
+        """What a hold adds to its row of alg, flat."""
+        return self._held(hold, self.ode)
+
+    @cached_property
+    def zero(self) -> ca.SX:
+        """Functions of the events, which fire as they fall through zero, flat (n_events, 1)."""
+        return ca.vertcat(ca.SX(0, 1), *(self._fired[i][0] for i in range(len(self.events))))
+
+    @cached_property
+    def jump(self) -> ca.SX:
+        """Change of the states by each event, a sparse column each (n_x, n_events)."""
+        return ca.horzcat(ca.SX(self.x.numel(), 0), *(change for _, change in self._fired))
+
+    @cached_property
+    def _fired(self) -> list[tuple[ca.SX, ca.SX]]:
+        """Zero function and change of the states of each event."""
+        found, way = [], self.expansion
+        for event in self.events:
+            zero, changes = self._called(event)
+            column = ca.SX(self.x.numel(), 1)
+            for row, change in zip(event.rows, ca.vertsplit(changes), strict=True):
+                place = way.rows[row] if way else row
+                if place is not None and not change.is_zero():
+                    column[place] = change
+            found.append((zero, column))
+        return found
+
+    @cached_property
+    def update(self) -> ca.SX:
+        """[largest error; smallest recommended step, or -1; states with new data], flat."""
+        error, step, x = ca.SX(0), ca.SX(-1), list(ca.vertsplit(self.x))
+        for update in self.updates:
+            own, wish, data = self._called(update)
+            error = ca.fmax(error, own)
+            both = ca.if_else(step < 0, wish, ca.fmin(step, wish))
+            step = ca.if_else(wish < 0, step, both)
+            for i, row in enumerate(update.rows):
+                place = self.expansion.rows[row] if self.expansion else row
+                if place is not None:
+                    x[place] = data[i]
+        return ca.cse(ca.vertcat(error, step, *x))
+
+    @property
+    def data(self) -> tuple[int, ...]:
+        """Rows of the data states."""
+        return tuple(i for i, label in enumerate(self.x_labels) if label.data)
 
     @property
     def states(self) -> ca.SX:
@@ -248,10 +206,6 @@ class Dae:
     def symbols(self) -> list[ca.SX]:
         """[t, x, z, u, p]: the arguments of every function of the model."""
         return [self.t, self.x, self.z, self.u, self.p]
-
-    def contribution(self, part: Part, states: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Rows that a part adds to ode and alg for given values of the states it reads."""
-        return part.kernel(self.t, states, pick(self.z, part.reads_z), part.constants)
 
     @property
     def ode(self) -> ca.SX:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import checks
-from .laws import Law, Standard
+from .laws import Effect, Law, Own, Standard
 from .symbols import Param, Scalar, check_identifier, is_number, leaves_of
 
 GROUND = "ground"
@@ -150,8 +150,14 @@ class RigidBodySpringDamper:
         force: user function (mbs, t, item, displacement, rotation, velocity, angular_velocity,
             stiffness, damping, rotJ0, rotJ1, offset) -> 6 numbers, called once with symbols. mbs is
             None, item the connector's index; rotJ0 and rotJ1 are A_0 and A_1 (joint frame to
-            world). It replaces the linear force.
-        post_newton_step, data: not available yet.
+            world). It replaces the linear force. If it takes 13 arguments, data comes after item.
+        data: start values of data states, `<name>.data_0` ...: constant but for events and
+            post_newton_step.
+        post_newton_step: user function with the arguments of force and data after item -> [error,
+            recommended step, data...]; see `integrators.post_newton` for what is made of it.
+        events: user function with the same arguments -> list of `Event`.
+        effects: laws along one axis, or on the whole, added to the wrench: `Contact`, `Friction`,
+            `Plastic`, `Fracture`, ... Their states are named `<name>.<effect>_<state>`.
         active: False gives no force and costs nothing.
         show, draw_size, color: drawing only; draw_size is the spring's diameter, m.
     """
@@ -173,6 +179,8 @@ class RigidBodySpringDamper:
     show: bool = True
     draw_size: float | None = None
     color: Any = None
+    effects: Sequence[Effect] = ()
+    events: Callable[..., Any] | None = None
 
     def __post_init__(self) -> None:
         check_identifier(self.name, "connector")
@@ -182,18 +190,17 @@ class RigidBodySpringDamper:
                 raise TypeError(f"{where}: {name} is {getattr(self, name)!r}; give a Marker")
         if isinstance(self.law, type) or not hasattr(self.law, "relative"):
             raise TypeError(f"{where}: law {self.law!r}; give a law object, such as Consistent()")
-        if self.force is not None and not callable(self.force):
-            raise TypeError(f"{where}: force {self.force!r}; give a function")
-        if self.post_newton_step is not None or len(self.data):
-            raise ValueError(
-                f"{where}: post_newton_step and data are not available yet; model the "
-                "discontinuity with a smooth user force"
-            )
+        for name in ("force", "post_newton_step", "events"):
+            function = getattr(self, name)
+            if function is not None and not callable(function):
+                raise TypeError(f"{where}: {name} {function!r}; give a function")
         stiffness = checks.matrix6(self.stiffness, f"{where}, stiffness")
         if self.law.needs_symmetric_stiffness:
             _check_symmetric(stiffness, f"{where}, stiffness")
         _set(
             self,
+            data=_data(self.data, where),
+            effects=_effects(self.effects, where),
             stiffness=stiffness,
             damping=checks.matrix6(self.damping, f"{where}, damping"),
             offset=checks.vector6(self.offset, f"{where}, offset"),
@@ -201,6 +208,60 @@ class RigidBodySpringDamper:
             rotation_marker0=checks.rotation(self.rotation_marker0, f"{where}, rotation_marker0"),
             rotation_marker1=checks.rotation(self.rotation_marker1, f"{where}, rotation_marker1"),
         )
+
+    @property
+    def acts(self) -> bool:
+        """Whether it is active and touches a body."""
+        return self.active and not self.marker0.body == self.marker1.body == GROUND
+
+    @property
+    def own(self) -> tuple[Own, ...]:
+        """Its data and internal states, named within the connector."""
+        data = [Own(f"data_{i}", start=float(v), data=True) for i, v in enumerate(self.data)]
+        of_effects = [o._replace(name=f"{e.label}_{o.name}") for e in self.effects for o in e.own]
+        return (*data, *of_effects) if self.acts else ()
+
+    @property
+    def unknowns(self) -> tuple[Own, ...]:
+        """Its unknown forces, named within the connector."""
+        named = [o._replace(name=f"{e.label}_{o.name}") for e in self.effects for o in e.unknowns]
+        return tuple(named) if self.acts else ()
+
+
+def _data(data: Any, where: str) -> np.ndarray:
+    count = 0 if is_number(data) else len(data)
+    if is_number(data):
+        raise ValueError(f"{where}, data: {data!r}; give a list of start values, such as [0.0]")
+    values = checks.numbers(data, (count,), f"{where}, data") if count else np.zeros(0)
+    if checks.is_symbolic(values):
+        raise ValueError(f"{where}, data: {list(values)}; start values of data are plain numbers")
+    return values
+
+
+def _effects(effects: Any, where: str) -> tuple[Effect, ...]:
+    """The effects, checked, with names that differ and those on the whole at the end."""
+    found = (effects,) if isinstance(effects, Effect) else tuple(effects)
+    names: list[str] = []
+    for effect in found:
+        if not isinstance(effect, Effect):
+            raise TypeError(f"{where}, effects: {effect!r}; give effects such as Contact(2, 1e5)")
+        effect.check(where)
+        if effect.label in names:
+            raise ValueError(f"{where}: two effects are called '{effect.label}'; give one a name")
+        normal = getattr(effect, "normal", None)
+        if isinstance(normal, str) and normal not in names:
+            raise ValueError(
+                f"{where}, {effect.label}: no effect '{normal}' before it; before it are: "
+                f"{', '.join(names) or 'none'}"
+            )
+        names.append(effect.label)
+    wholes = [effect for effect in found if effect.whole]
+    if wholes and (found[-len(wholes) :] != tuple(wholes) or any(e.unknowns for e in found)):
+        raise ValueError(
+            f"{where}: {wholes[0].label} acts on the whole wrench; it comes after the other effects"
+            ", and friction that holds exactly belongs to a connector of its own"
+        )
+    return found
 
 
 def _check_symmetric(matrix: np.ndarray, where: str) -> None:

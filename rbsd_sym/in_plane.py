@@ -9,11 +9,12 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from .dae import Dae, Expansion, Label, Part
+from .dae import Dae, Expansion
 from .formulations import ModelWarning
 from .formulations.layout import Layout
 from .formulations.plane import Plane, planes
 from .minimal import core, finish
+from .parts import Hold, Part
 from .reduction import Reduction
 from .scene import Scene
 
@@ -68,11 +69,10 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
     if way is None:
         raise ValueError(f"model '{full.name}': not reduced")
     names = _names(plane, layout, way)
-    labels = {label.name: Label(names[i], label.unit, label.start)
-              for i, label in enumerate(way.labels)}  # fmt: skip
+    labels = {label.name: replace(label, name=names[i]) for i, label in enumerate(way.labels)}
     measured = flat.measured if way.followers else flat.states
-    states = ca.vertcat(plane.way_back(layout, measured[: layout.size * len(plane.turned)]),
-                        way.states)  # fmt: skip
+    bodies = layout.size * len(plane.turned)
+    states = ca.vertcat(plane.way_back(layout, measured[:bodies]), measured[bodies:n], way.states)
     x, z = (ca.vertcat(ca.SX(0, 1), *(ca.SX.sym(labels[label.name].name) for label in own))
             for own in (flat.x_labels, flat.z_labels))  # fmt: skip
     states = ca.substitute(states, ca.vertcat(flat.x, flat.z), ca.vertcat(x, z))
@@ -84,6 +84,13 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
         x_labels=tuple(labels[label.name] for label in flat.x_labels),
         z_labels=tuple(replace(labels[label.name], start=label.start) for label in flat.z_labels),
         parts=tuple(_shifted(part, n) for part in flat.parts),
+        events=tuple(_moved(event, n) for event in flat.events),
+        holds=tuple(_moved(hold, n) for hold in flat.holds),
+        updates=tuple(_moved(update, n) for update in flat.updates),
+        motions=tuple(
+            replace(m, coordinates=_plus(m.coordinates, n), velocities=_plus(m.velocities, n))
+            for m in flat.motions
+        ),
         balances=(), turns=(),
         notes=(*flat.notes, f"the motion is planar, with normal ({normal})"),
         expansion=Expansion(
@@ -94,12 +101,18 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
     )  # fmt: skip
 
 
+def _plus(rows: tuple[int, ...], n: int) -> tuple[int, ...]:
+    return tuple(row + n for row in rows)
+
+
 def _shifted(part: Part, n: int) -> Part:
-    return replace(
-        part,
-        reads=tuple(row + n for row in part.reads),
-        ode_rows=tuple(row + n for row in part.ode_rows),
-    )
+    return replace(part, reads=_plus(part.reads, n), ode_rows=_plus(part.ode_rows, n))
+
+
+def _moved(item: Any, n: int) -> Any:
+    """An event, hold or update with the states it reads, and changes, n rows further down."""
+    changes = {} if isinstance(item, Hold) else {"rows": _plus(item.rows, n)}
+    return replace(item, reads=_plus(item.reads, n), **changes)
 
 
 def _names(plane: Plane, layout: Layout, way: Expansion) -> list[str]:

@@ -14,7 +14,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from .dae import Dae, numbers_of
+from .dae import Dae
+from .parts import Hold, numbers_of
 from .zeros import fold
 
 _STRUCTURAL = (0.0, 1.0, -1.0)
@@ -55,7 +56,17 @@ def groups(dae: Dae) -> list[Group]:
         writes += [n + row for row in part.alg_rows]
         arguments = (part.kernel, part.reads, part.reads_z, part.constants, part.numbers)
         instances.append(reader.read(*arguments, tuple(writes)))
-    return _grouped(dae, reader, instances)
+    return [*_grouped(dae, reader, instances), *(_held(dae, hold) for hold in dae.holds)]
+
+
+def _held(dae: Dae, hold: Hold) -> Group:
+    """A hold depends on all that acts on what it holds, and stands alone."""
+    value = dae.held(hold)
+    every = ca.vertcat(dae.x, dae.z, dae.u, dae.p)
+    reads = _uses(value, every)
+    w, row = every[reads], np.array([[dae.x.numel() + hold.alg_row]])
+    kernel = ca.Function("held", [dae.t, w, ca.SX(0, 1)], [ca.densify(value)])
+    return Group(kernel, np.array(reads, int).reshape(-1, 1), np.zeros((0, 1)), row)
 
 
 def output_groups(dae: Dae) -> list[Group]:

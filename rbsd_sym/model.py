@@ -12,8 +12,9 @@ import casadi as ca
 import numpy as np
 
 from .assembly import Assembly
-from .dae import Dae, Label, table
+from .dae import Dae, table
 from .newton import newton
+from .parts import Label
 from .reduction import Dropped, Reduction, Replaced
 from .spectra import growth_exponent, growth_rates
 from .trajectory import Column, Trajectory
@@ -24,7 +25,8 @@ _PROPAGATED = 60  # states left out, up to which their propagator is affordable
 _POINTS = 400  # for it
 _FEW_PARTS = 20
 _MANY_OPERATIONS = 4_000  # of ode; beyond it flat code takes long to compile, and gains little
-_JACOBIAN = re.compile(r"d(ode|alg|out)_d([txzup])")
+_JACOBIAN = re.compile(r"d(ode|alg|out|zero)_d([txzup])")
+_MAPPED = re.compile(r"ode|alg|out|d(ode|alg|out)_d[txzup]")
 _DIRECTIONAL = re.compile(r"(ode|alg|out)_(hessian|forward|adjoint)")
 
 
@@ -52,6 +54,11 @@ class Model:
       n_w), l (rows of f, 1);
     - <f>_forward (t, x, z, u, p, v): the derivative along v (n_w, 1);
     - <f>_adjoint (t, x, z, u, p, l): the gradient of l'f by w.
+
+    Of events (`events` are their names): `zero`, functions that fire as they fall through zero,
+    with Jacobians as f has; `zero_rate`, their total time derivative; `jump`, the change of the
+    states by each, a sparse column each. `post_newton`: [largest error; smallest recommended step
+    or -1; states with new data].
 
     Arguments:
         kernels: functions call one kernel for each kind of part, mapped over its instances;
@@ -131,8 +138,10 @@ class Model:
         Raises:
             ValueError: no function of that name.
         """
-        if name in ("ode", "alg", "out"):
+        if name in ("ode", "alg", "out", "zero", "jump"):
             return getattr(self.dae, name)
+        if name == "post_newton":
+            return self.dae.update
         if name == "states":
             return self.dae.measured
         match = _JACOBIAN.fullmatch(name)
@@ -144,7 +153,9 @@ class Model:
         """The CasADi Function of that name, built at the first call."""
         if name in self.library:
             return self.library[name]
-        mapped = self.kernels and (name in ("ode", "alg", "out") or _JACOBIAN.fullmatch(name))
+        mapped = self.kernels and _MAPPED.fullmatch(name)
+        if name not in self.memo and name == "zero_rate":
+            self.memo[name] = self._zero_rate()
         if name not in self.memo and (mapped or _DIRECTIONAL.fullmatch(name)):
             self.memo[name] = self.assembly.function(name)
         if name not in self.memo:
@@ -154,6 +165,22 @@ class Model:
                 expression = ca.substitute(expression, self.dae.idle_p, ca.DM(defaults))
             self.memo[name] = ca.Function(safe, self.symbols, [expression], list("txzup"), [safe])
         return self.memo[name]
+
+    def _zero_rate(self) -> ca.Function:
+        """Total time derivative of the zero functions along the solution."""
+        symbols = [ca.MX.sym("t"), *(ca.MX.sym(k, getattr(self, f"n_{k}")) for k in "xzup")]
+        needed = ("ode", "dzero_dt", "dzero_dx", "dzero_dz", "dalg_dt", "dalg_dx", "dalg_dz")
+        f = {name: self.function(name)(*symbols) for name in needed}
+        rate = f["dzero_dt"] + f["dzero_dx"] @ f["ode"]
+        if self.n_z:
+            push = ca.densify(f["dalg_dt"] + f["dalg_dx"] @ f["ode"])
+            rate -= f["dzero_dz"] @ ca.solve(f["dalg_dz"], push)
+        return ca.Function("zero_rate", symbols, [ca.densify(rate)], list("txzup"), ["zero_rate"])
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """Names of the events, in the order in which they happen."""
+        return tuple(event.name for event in self.dae.events)
 
     @property
     def plain(self) -> Model:

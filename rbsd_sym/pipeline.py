@@ -16,12 +16,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .dae import Label
 from .formulations import ModelWarning, Quaternion
 from .in_plane import Formulation, smallest
 from .integrators import Idas
 from .minimal import balance
 from .model import Model, derive
+from .parts import Label
 from .scene import Scene
 from .symbols import is_number
 from .trajectory import Experiment, Outcome, Samples, Signal, Trajectory

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,18 @@ from . import checks
 from .elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
 from .sensors import SCENE_QUANTITIES
 from .symbols import TIME, Input, Leaf, Param, Scalar, check_identifier, is_number, leaves_of
-from .user_force import TracedForce, trace_force
+from .user_functions import Traced, trace_events, trace_force, trace_post_newton
 
 _ZERO3 = (0.0, 0.0, 0.0)
-_DRAWING = {"show", "size", "color", "draw_size"}
+_OUTSIDE = {"show", "size", "color", "draw_size", "effects"}  # drawing, and what has its own text
+
+
+class Functions(NamedTuple):
+    """The user functions of one connector."""
+
+    force: Traced | None = None
+    events: Traced | None = None
+    post_newton: Traced | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +119,9 @@ class Scene:
         return (*self.bodies, *self.connectors, *self.loads)
 
     @cached_property
-    def traced(self) -> tuple[TracedForce | None, ...]:
-        """The user forces, traced once with symbols; one entry a connector."""
-        return tuple(
-            None
-            if c.force is None or not c.active
-            else trace_force(c.force, c.name, i, c.stiffness, c.damping, c.offset)
-            for i, c in enumerate(self.connectors)
-        )
+    def traced(self) -> tuple[Functions, ...]:
+        """The user functions of each connector, traced once with symbols."""
+        return tuple(_functions(c, i) for i, c in enumerate(self.connectors))
 
     @cached_property
     def leaves(self) -> tuple[Leaf, ...]:
@@ -130,8 +133,10 @@ class Scene:
                 found |= leaves_of(
                     [value.position, value.rotation] if isinstance(value, Marker) else value
                 )
-        for force in self.traced:
-            found |= frozenset(force.leaves) if force else frozenset()
+        for connector in self.connectors:
+            found |= frozenset().union(*(effect.leaves for effect in connector.effects))
+        for functions in self.traced:
+            found |= frozenset(leaf for f in functions if f for leaf in f.leaves)
         return tuple(sorted(found, key=lambda leaf: leaf.name))
 
     @property
@@ -153,16 +158,29 @@ class Scene:
             parts = (
                 f"{f.name}={_text(getattr(item, f.name))}"
                 for f in fields(item)
-                if f.name not in _DRAWING and not callable(getattr(item, f.name))
+                if f.name not in _OUTSIDE and not callable(getattr(item, f.name))
             )
             lines.append(f"{type(item).__name__} " + " ".join(parts))
-        lines += [f"force {force.text}" for force in self.traced if force]
+        lines += [f"{name} {traced.text}" for functions in self.traced
+                  for name, traced in functions._asdict().items() if traced]  # fmt: skip
+        lines += [effect.text for c in self.connectors if c.active for effect in c.effects]
         return "\n".join(lines)
 
     @property
     def digest(self) -> str:
         """Hash of the scene's text."""
         return hashlib.sha256(self.text.encode()).hexdigest()[:16]
+
+
+def _functions(c: RigidBodySpringDamper, i: int) -> Functions:
+    if not c.acts:
+        return Functions()
+    rest = (c.name, i, (c.stiffness, c.damping, c.offset), len(c.data))
+    return Functions(
+        trace_force(c.force, *rest) if c.force else None,
+        trace_events(c.events, *rest) if c.events else None,
+        trace_post_newton(c.post_newton_step, *rest) if c.post_newton_step else None,
+    )
 
 
 def _sequence(where: str, title: str, value: Any) -> tuple[Any, ...]:

@@ -53,6 +53,7 @@ class Outcome(Enum):
 
     reached_end = "reached the end"
     event = "stopped at an event"
+    endless_events = "events follow each other without end"
     too_many_steps = "too many steps within one output interval"
     step_too_small = "the step became too small"
     not_consistent = "no consistent start values found for the algebraic unknowns"
@@ -92,6 +93,7 @@ class Trajectory:
         parameters: values used.
         digest: of the model.
         also: states the model left out; evaluated on demand, and always saved.
+        events: (time in s, name) of each event, in the order in which they happened.
     """
 
     name: str
@@ -105,6 +107,7 @@ class Trajectory:
     digest: str
     more: Callable[[str, Trajectory], Column] | None = field(default=None, repr=False)
     also: tuple[str, ...] = ()
+    events: tuple[tuple[float, str], ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         """What is sent to other processes: the columns evaluated so far, not the model."""
@@ -157,6 +160,7 @@ class Trajectory:
             "report": self.report, "stats": dict(self.stats), "states": self.states,
             "parameters": dict(self.parameters), "digest": self.digest,
             "columns": [[key, c.unit, c.components] for key, c in self.columns.items()],
+            "events": self.events,
         }  # fmt: skip
         arrays: dict[str, Any] = {
             f"column_{i}": c.values for i, c in enumerate(self.columns.values())
@@ -200,6 +204,7 @@ class Trajectory:
         return Trajectory(
             header["name"], t, columns, Outcome[header["outcome"]], header["report"],
             header["stats"], header["parameters"], tuple(header["states"]), header["digest"],
+            events=tuple((float(at), str(name)) for at, name in header.get("events", ())),
         )  # fmt: skip
 
     def __str__(self) -> str:

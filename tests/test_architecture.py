@@ -16,10 +16,10 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "rbsd_sym"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = (
-    {"zeros", "version", "spectra", "reduction", "newton", "tableau"},
+    {"zeros", "version", "spectra", "reduction", "newton", "tableau", "parts"},
     {"rotation", "dae", "trajectory", "symbols"},
     {"mechanics", "checks", "kernels"},
-    {"laws", "sensors", "user_force", "assembly"},
+    {"laws", "sensors", "user_functions", "assembly"},
     {"elements"},
     {"scene"},
     {"formulations"},

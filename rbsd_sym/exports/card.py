@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from .. import version
-from ..dae import Label
 from ..model import Model
+from ..parts import Label
 from .header import Exported
 
 

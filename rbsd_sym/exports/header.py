@@ -8,8 +8,8 @@ from typing import NamedTuple
 import casadi as ca
 
 from .. import version
-from ..dae import Label
 from ..model import Model
+from ..parts import Label
 from . import names
 
 _SIGNATURE = "double t, const double *x, const double *z, const double *u, const double *p"

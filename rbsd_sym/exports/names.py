@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ..dae import Label
+from ..parts import Label
 
 
 def c_name(text: str) -> str:

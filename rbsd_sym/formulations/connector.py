@@ -1,70 +1,35 @@
-"""The kernels of connectors: one for each kind, shared by all connectors of that kind."""
+"""Connectors of a scene as parts, events and outputs; those of one kind share their kernels."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import Any
 
 import casadi as ca
 
-from ..dae import Part
 from ..elements import GROUND, RigidBodySpringDamper
-from ..laws import Law, Response, SpringDamper, respond
-from ..mechanics import (
-    Body,
-    MarkerOnBody,
-    Motion,
-    displaced,
-    ground_motion,
-    marker_motion,
-    power,
-    seen_from_first,
-    torque_on_body,
-)
-from ..sensors import ConnectorView, Quantity
+from ..parts import Event, Hold, Label, Part, Update
+from ..sensors import Quantity
 from ..symbols import TIME, to_expr
-from ..user_force import TracedForce
-from .columns import COMPLIANCE, MARKER, compliance_column, marker_column, marker_of
-from .layout import Layout, accelerations, kernel
-
-_NUMBERS = 84  # K (36), D (36), offset (6), velocity_offset (6)
-
-
-@dataclass(frozen=True)
-class Kind:
-    """What two connectors must have in common to share a kernel.
-
-    `places` says for each marker which of the connector's bodies carries it, None for the ground.
-    """
-
-    law: Law
-    places: tuple[int | None, int | None]
-    force: TracedForce | None
-
-    @property
-    def n_bodies(self) -> int:
-        """Number of moving bodies the connector touches: 0, 1 or 2."""
-        return len({place for place in self.places if place is not None})
-
-
-class _Sight(NamedTuple):
-    """What a kernel sees of its connector; `respond` answers to other motions of its markers."""
-
-    response: Response
-    respond: Callable[..., Response]
-    markers: list[MarkerOnBody]
-    motions: list[Motion]
+from .columns import (
+    axes_without_inertia,
+    compliance_column,
+    has_mass,
+    marker_column,
+)
+from .layout import Layout
+from .reaction import Kind, Reaction
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectorWriter:
-    """One connector of a scene as part and as outputs; kernels are kept in the shared cache."""
+    """One connector of a scene; kernels are kept in the shared cache."""
 
     layout: Layout
     index: int
-    cache: dict[Hashable, ca.Function]
+    cache: dict[Hashable, Any]
 
     @property
     def connector(self) -> RigidBodySpringDamper:
@@ -78,22 +43,51 @@ class ConnectorWriter:
 
     @cached_property
     def reads(self) -> tuple[int, ...]:
-        """Rows of the states it reads."""
-        return tuple(row for i in self.carriers for row in self.layout.rows(i))
+        """Rows of the states it reads: its bodies', its own."""
+        return (*(row for i in self.carriers for row in self.layout.rows(i)), *self.own_rows)
+
+    @property
+    def own_rows(self) -> tuple[int, ...]:
+        """Rows of its data and internal states."""
+        return self.layout.own_rows(self.index)
+
+    @property
+    def reads_z(self) -> tuple[int, ...]:
+        """Rows of its unknown forces."""
+        return self.layout.unknown_rows(self.index)
+
+    @property
+    def labels(self) -> list[Label]:
+        """Names of its own states."""
+        name = self.connector.name
+        return [Label(f"{name}.{o.name}", o.unit, o.start, o.data) for o in self.connector.own]
+
+    @property
+    def unknowns(self) -> list[Label]:
+        """Names of its unknown forces."""
+        name = self.connector.name
+        return [Label(f"{name}.{o.name}", o.unit) for o in self.connector.unknowns]
 
     @cached_property
     def kind(self) -> Kind:
-        """Law, places and user force."""
+        """Law, places, user functions and structure of the effects."""
         places = tuple(
             None if m.body == GROUND else self.carriers.index(self.layout.index(m.body))
             for m in (self.connector.marker0, self.connector.marker1)
         )
-        force = self.layout.scene.traced[self.index]
-        return Kind(self.connector.law, (places[0], places[1]), force)
+        structures = tuple(effect.structure for effect in self._effects)
+        return Kind(
+            self.connector.law, (places[0], places[1]), self.layout.scene.traced[self.index],
+            structures, len(self.connector.data) if self.connector.acts else 0,
+        )  # fmt: skip
+
+    @property
+    def _effects(self) -> tuple[Any, ...]:
+        return tuple(self.connector.effects) if self.connector.acts else ()
 
     @cached_property
     def constants(self) -> ca.SX:
-        """Markers, numbers, compliance of the bodies, symbols of the user force."""
+        """Markers, numbers, compliances, symbols of the user functions, numbers of the effects."""
         connector, bodies = self.connector, [self.layout.scene.bodies[i] for i in self.carriers]
         columns = []
         for m, place, joint in zip(
@@ -109,87 +103,93 @@ class ConnectorWriter:
             to_expr(connector.velocity_offset),
         ]
         columns += [compliance_column(body) for body in bodies]
-        columns += [self.kind.force.values] if self.kind.force else []
+        columns += [traced.values for traced in self.kind.functions if traced]
+        columns += [effect.column for effect in self._effects]
         return ca.vertcat(*columns)
 
+    @property
+    def reaction(self) -> Reaction:
+        """The kernels of its kind."""
+        key = ("reaction", self.kind)
+        if key not in self.cache:
+            n = self.constants.numel()
+            self.cache[key] = Reaction(self.kind, self.layout, self._effects, n)
+        return self.cache[key]
+
+    @property
+    def _changes(self) -> tuple[int, ...]:
+        """Rows that its events may change."""
+        velocities = (row for i in self.carriers for row in self.layout.velocity_rows(i))
+        return (*velocities, *self.own_rows)
+
+    @property
+    def _place(self) -> tuple[tuple[int, ...], tuple[int, ...], ca.SX]:
+        return self.reads, self.reads_z, self.constants
+
     def part(self) -> Part:
-        """Its contribution to the accelerations of its bodies."""
-        rows = tuple(row for i in self.carriers for row in self.layout.velocity_rows(i))
-        return Part(self.connector.name, self._shared(None), self.reads, (), self.constants, rows)
+        """Its contribution to the accelerations of its bodies and the rates of its own states."""
+        kernel = self._kept("rates", lambda: self.reaction.rates())
+        return Part(self.connector.name, kernel, *self._place, self._changes, self.reads_z)
+
+    def holds(self) -> list[Hold]:
+        """What its effects hold.
+
+        Raises:
+            ValueError: a body without inertia, which cannot be held or hit.
+        """
+        self._check_inertia()
+        found: list[Hold] = []
+        for i, effect in enumerate(self._effects):
+            if effect.unknowns:
+                kernel = self._kept(("hold", i), partial(self.reaction.hold, i))
+                row = self.reads_z[len(found)]
+                name = f"{self.connector.name}.{effect.label}"
+                found.append(Hold(name, kernel, *self._place, row))
+        return found
+
+    def _check_inertia(self) -> None:
+        effects = [effect for effect in self._effects if effect.impulsive]
+        for body in (self.layout.scene.bodies[i] for i in self.carriers):
+            if effects and (not has_mass(body) or axes_without_inertia(body)):
+                raise ValueError(
+                    f"connector '{self.connector.name}': {effects[0].label} stops or throws body "
+                    f"'{body.name}', which lacks mass or inertia; give it some, or use a form with "
+                    "smoothing"
+                )
+
+    def events(self) -> list[Event]:
+        """The events of its effects, in order, then those of the user."""
+        name, found = self.connector.name, []
+        for k, (i, change) in enumerate(self.reaction.changes()):
+            kernel = self._kept(("event", k), partial(self.reaction.change, i, change))
+            label = f"{name}.{self._effects[i].label}_{change.name}"
+            found.append(Event(label, kernel, *self._place, self._changes, change.at_once))
+        traced = self.kind.functions.events
+        for event in traced.events if traced else ():
+            first = event.first
+            kernel = self._kept(("user event", first), partial(self.reaction.user_event, first))
+            label = f"{name}.{event.name}"
+            found.append(
+                Event(label, kernel, *self._place, self._changes, event.at_once, event.stops)
+            )
+        return found
+
+    def updates(self) -> list[Update]:
+        """The user's post_newton_step."""
+        if self.kind.functions.post_newton is None:
+            return []
+        kernel = self._kept("update", lambda: self.reaction.update())
+        rows = self.own_rows[: self.kind.n_data]
+        return [Update(self.connector.name, kernel, *self._place, rows)]
 
     def measure(self, quantity: Quantity) -> tuple[ca.Function, ca.SX]:
         """Kernel and constants of a quantity: the constants and their explicit time derivative."""
         rates = ca.jacobian(self.constants, TIME.expr)
-        return self._shared(quantity), ca.densify(ca.vertcat(self.constants, rates))
+        kernel = self._kept(quantity, lambda: self.reaction.measure(quantity))
+        return kernel, ca.densify(ca.vertcat(self.constants, rates))
 
-    def _shared(self, quantity: Quantity | None) -> ca.Function:
-        key = (self.kind, quantity)
+    def _kept(self, key: Hashable, build: Callable[[], ca.Function]) -> ca.Function:
+        key = (self.kind, key)
         if key not in self.cache:
-            x = ca.SX.sym("x", self.kind.n_bodies * self.layout.size)
-            c = ca.SX.sym("c", self.constants.numel())
-            self.cache[key] = (
-                self._build_measure(x, c, quantity) if quantity else self._build_rates(x, c)
-            )
+            self.cache[key] = build()
         return self.cache[key]
-
-    def _see(self, c: ca.SX, bodies: list[Body]) -> _Sight:
-        kind, k = self.kind, 2 * MARKER
-        markers = [marker_of(c[:MARKER]), marker_of(c[MARKER:k])]
-        motions = [
-            ground_motion(marker) if place is None else marker_motion(bodies[place], marker)
-            for marker, place in zip(markers, kind.places, strict=True)
-        ]
-        user = None
-        if kind.force is not None:
-            function, leaves = kind.force.function, c[k + _NUMBERS + COMPLIANCE * kind.n_bodies :]
-            user = lambda *arguments: function(*arguments, leaves)  # noqa: E731
-        numbers = SpringDamper(
-            ca.reshape(c[k : k + 36], 6, 6), ca.reshape(c[k + 36 : k + 72], 6, 6),
-            c[k + 72 : k + 78], c[k + 78 : k + 84], user,
-        )  # fmt: skip
-        answer = partial(respond, kind.law, numbers, TIME.expr)
-        return _Sight(answer(*motions), answer, markers, motions)
-
-    def _build_rates(self, x: ca.SX, c: ca.SX) -> ca.Function:
-        bodies, R_WE = [self.layout.body(part) for part in self.layout.split(x)], ca.SX.eye(3)
-        if len(bodies) == 2 and self.kind.force is None:  # a user may look at the world's axes
-            R_WE = bodies[0].motion.frame.R_WA
-            bodies = seen_from_first(bodies[0], bodies[1], self.layout.coordinates.quaternion)
-        sight, first = self._see(c, bodies), 2 * MARKER + _NUMBERS
-        wrenches = (sight.response.wrench0, sight.response.wrench1)
-        f0_W = R_WE @ wrenches[0].f
-        opposite = ca.is_equal(wrenches[1].f, -wrenches[0].f, 2)
-        forces = (f0_W, -f0_W if opposite else R_WE @ wrenches[1].f)
-        rates = [ca.SX.zeros(6)] * len(bodies)
-        for i, place in enumerate(self.kind.places):
-            if place is not None:
-                compliance = c[first + COMPLIANCE * place : first + COMPLIANCE * (place + 1)]
-                torque = torque_on_body(bodies[place], sight.markers[i].p_BA, wrenches[i])
-                rates[place] += accelerations(forces[i], torque, compliance)
-        return kernel("connector", x, c, ca.vertcat(*rates), ca.SX(0, 1))
-
-    def _build_measure(self, x: ca.SX, c: ca.SX, quantity: Quantity) -> ca.Function:
-        sight = self._see(c, [self.layout.body(part) for part in self.layout.split(x)])
-        response, motions = sight.response, sight.motions
-        parts = [self.layout.kinematic_rates(part) for part in self.layout.split(x)]
-        c_rate = ca.SX.sym("c_rate", c.numel())
-        energy = response.potential_energy
-        stored_rate = ca.jtimes(energy, c, c_rate)
-        if parts:
-            stored_rate += ca.jtimes(energy, x, ca.vertcat(*parts))
-        given = power(response.wrench0, motions[0]) + power(response.wrench1, motions[1])
-        tangents = (partial(_tangent, sight, held) for held in (False, True))
-        value = quantity.measure(ConnectorView(response, stored_rate, given, *tangents))
-        return kernel(quantity.name, x, ca.vertcat(c, c_rate), value)
-
-
-def _tangent(sight: _Sight, velocities: bool) -> ca.SX:
-    """Derivative (12, 12) of the wrenches by the markers' small motions, or by their velocities."""
-    step, still = ca.SX.sym("step", 12), ca.SX.zeros(6)
-    moved = [
-        displaced(motion, *((still, part) if velocities else (part, still)))
-        for motion, part in zip(sight.motions, (step[:6], step[6:]), strict=True)
-    ]
-    response = sight.respond(*moved)
-    wrenches = ca.vertcat(*response.wrench0, *response.wrench1)
-    return ca.densify(ca.substitute(ca.jacobian(wrenches, step), step, ca.SX.zeros(12)))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import casadi as ca
+import numpy as np
 
-from ..dae import Balance, Label, Turn
 from ..elements import GROUND, Marker, RigidBody
 from ..mechanics import Body, body_motion
+from ..parts import Balance, Label, Motion, Turn
+from ..rotation import quat_exp, quat_matrix, quat_product
 from ..scene import Scene
 from ..symbols import TIME, to_expr
 from .columns import axes_without_inertia, has_mass, rotation_pair
@@ -44,6 +47,8 @@ class Coordinates(Protocol):
 
 _VELOCITY = ca.SX.sym("v")
 _SAME = ca.Function("kinematics", [ca.SX.sym("c"), _VELOCITY], [_VELOCITY])
+_C, _STEP = ca.SX.sym("c"), ca.SX.sym("step")
+_ADDED = ca.Function("retract", [_C, _STEP], [_C + _STEP])
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +79,26 @@ class Layout:
         """Rows of velocity and angular velocity of a body."""
         return self.rows(index)[-6:]
 
+    @cached_property
+    def _own(self) -> list[tuple[int, int]]:
+        """First and last row of each connector's own states, and below of its unknowns."""
+        counts = [len(c.own) for c in self.scene.connectors]
+        ends = self.size * len(self.scene.bodies) + np.cumsum([0, *counts])
+        return [(int(a), int(b)) for a, b in pairwise(ends)]
+
+    @cached_property
+    def _unknown(self) -> list[tuple[int, int]]:
+        ends = np.cumsum([0, *(len(c.unknowns) for c in self.scene.connectors)])
+        return [(int(a), int(b)) for a, b in pairwise(ends)]
+
+    def own_rows(self, connector: int) -> tuple[int, ...]:
+        """Rows of the data and internal states of a connector."""
+        return tuple(range(*self._own[connector]))
+
+    def unknown_rows(self, connector: int) -> tuple[int, ...]:
+        """Rows of the unknown forces of a connector in z."""
+        return tuple(range(*self._unknown[connector]))
+
     def turns(self) -> tuple[Turn, ...]:
         """The quaternions among the states, if the coordinates are quaternions."""
         if not self.coordinates.quaternion:
@@ -87,6 +112,25 @@ class Layout:
     def _turning(self) -> ca.Function:
         r, w = ca.SX.sym("r", len(self.coordinates.labels)), ca.SX.sym("w", 3)
         return ca.Function("kinematics", [r, w], [self.coordinates.rate(r, w)])
+
+    def motions(self, index: int) -> list[Motion]:
+        """The three translations and the rotation of a body."""
+        body, rows = self.scene.bodies[index], self.rows(index)
+        v = rows[-6:-3]
+        moves = [
+            Motion(f"{body.name}.{axis}", rows[i : i + 1], v[i : i + 1], _ADDED)
+            for i, axis in enumerate("xyz")
+        ]
+        return [*moves, Motion(f"{body.name}.rotation", rows[3:-6], rows[-3:], self._retract)]
+
+    @cached_property
+    def _retract(self) -> ca.Function:
+        r, step = ca.SX.sym("r", len(self.coordinates.labels)), ca.SX.sym("step", 3)
+        _, q = self.coordinates.orientation(r)
+        turned = quat_product(q, quat_exp(step))
+        return ca.Function(
+            "retract", [r, step], [self.coordinates.start(quat_matrix(turned), turned)]
+        )
 
     def balances(self, index: int) -> list[Balance]:
         """The motions of a body that have no inertia: its three translations, its rotation."""
@@ -147,7 +191,7 @@ def accelerations(f_W: ca.SX, tau_B: ca.SX, compliance: ca.SX) -> ca.SX:
     return ca.vertcat(compliance[0] * f_W, ca.reshape(compliance[1:], 3, 3) @ tau_B)
 
 
-def kernel(name: str, x: ca.SX, c: ca.SX, *results: ca.SX) -> ca.Function:
+def kernel(name: str, x: ca.SX, c: ca.SX, *results: ca.SX, z: ca.SX | None = None) -> ca.Function:
     """Function (t, x, z, c) -> results, dense."""
     dense = [ca.densify(result) for result in results]
-    return ca.Function(name, [TIME.expr, x, ca.SX.sym("z", 0), c], dense)
+    return ca.Function(name, [TIME.expr, x, ca.SX.sym("z", 0) if z is None else z, c], dense)

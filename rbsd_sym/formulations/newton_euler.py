@@ -6,14 +6,17 @@ m v' = f (world axes),  I w' + w x I w = tau (body axes).
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ..checks import at_default
-from ..dae import Dae, Label, Part
+from ..dae import Dae
 from ..elements import GROUND, Load, RigidBody
 from ..mechanics import Wrench, gyroscopic, torque_on_body
+from ..parts import Label, Part
 from ..scene import Scene
 from ..symbols import TIME, Leaf, default_values, to_expr
 from .audit import audit
@@ -42,46 +45,54 @@ def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
     for body in scene.bodies:
         _check_inertia(body)
     layout = Layout(scene, coordinates)
-    cache: dict[Hashable, ca.Function] = {}
+    cache: dict[Hashable, Any] = {}
     connectors = tuple(ConnectorWriter(layout, i, cache) for i in range(len(scene.connectors)))
     writer = OutputWriter(layout, connectors, cache)
     outputs = writer.write()
-    labels = [label for body in scene.bodies for label in layout.labels(body)]
-    start = ca.vertcat(*(layout.start(body) for body in scene.bodies))
-    values = default_values(start, scene.params).reshape(-1)
+    acting = [writer for writer in connectors if writer.connector.acts]
+    labels, start = _states(layout, acting)
+    unknowns = tuple(label for writer in acting for label in writer.unknowns)
     return Dae(
         name=scene.name,
         t=TIME.expr,
         x=ca.vertcat(*(ca.SX.sym(label.name) for label in labels)),
-        z=ca.SX(0, 1),
+        z=ca.vertcat(ca.SX(0, 1), *(ca.SX.sym(label.name) for label in unknowns)),
         u=_column(scene.inputs),
         p=_column(scene.params),
-        x_labels=tuple(
-            Label(label.name, label.unit, float(value))
-            for label, value in zip(labels, values, strict=True)
-        ),
-        z_labels=(),
+        x_labels=labels,
+        z_labels=unknowns,
         u_labels=tuple(Label(v.name, v.unit, v.value) for v in scene.inputs),
         p_labels=tuple(Label(v.name, v.unit, v.value) for v in scene.params),
         x_start=start,
-        z_start=ca.SX(0, 1),
-        parts=(*_bodies(layout), *_loads(layout), *_connectors(connectors)),
+        z_start=ca.SX.zeros(len(unknowns)),
+        parts=(*_bodies(layout), *_loads(layout), *(writer.part() for writer in acting)),
         outputs=outputs,
         requested=writer.requested(outputs),
         only_requested=bool(scene.outputs),
         notes=audit(scene),
         turns=layout.turns(),
         balances=tuple(b for i in range(len(scene.bodies)) for b in layout.balances(i)),
+        motions=tuple(m for i in range(len(scene.bodies)) for m in layout.motions(i)),
+        events=tuple(event for writer in acting for event in writer.events()),
+        holds=tuple(hold for writer in acting for hold in writer.holds()),
+        updates=tuple(update for writer in acting for update in writer.updates()),
         source=f"{formulation}\n{scene.text}",
     )
 
 
+def _states(layout: Layout, acting: list[ConnectorWriter]) -> tuple[tuple[Label, ...], ca.SX]:
+    """Labels and start values: of the bodies, then of what connectors have of their own."""
+    scene = layout.scene
+    labels = [label for body in scene.bodies for label in layout.labels(body)]
+    own = [label for writer in acting for label in writer.labels]
+    bodies = ca.vertcat(*(layout.start(body) for body in scene.bodies))
+    values = default_values(bodies, scene.params).reshape(-1)
+    found = [replace(label, start=float(v)) for label, v in zip(labels, values, strict=True)]
+    return (*found, *own), ca.vertcat(bodies, *(label.start for label in own))
+
+
 def _column(leaves: tuple[Leaf, ...]) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *(leaf.expr for leaf in leaves))
-
-
-def _connectors(writers: tuple[ConnectorWriter, ...]) -> list[Part]:
-    return [writer.part() for writer in writers if writer.connector.active and writer.carriers]
 
 
 def _bodies(layout: Layout) -> list[Part]:

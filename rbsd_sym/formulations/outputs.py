@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from ..dae import Output
+from ..parts import Output
 from ..sensors import (
     BODY_QUANTITIES,
     CONNECTOR_QUANTITIES,
@@ -36,9 +36,12 @@ class OutputWriter:
         """Every output by name: <body>.<quantity>, <connector>.<quantity>, <quantity>."""
         outputs: dict[str, Output] = {}
 
-        def add(owner: str, q: Quantity, reads: tuple[int, ...], build: Callable) -> None:
+        def add(
+            owner: str, q: Quantity, reads: tuple[int, ...], build: Callable,
+            reads_z: tuple[int, ...] = (),
+        ) -> None:  # fmt: skip
             name = f"{owner}.{q.name}" if owner else q.name
-            outputs[name] = Output(name, q.unit, q.components, q.shape, build, reads)
+            outputs[name] = Output(name, q.unit, q.components, q.shape, build, reads, reads_z)
 
         for i, body in enumerate(self.layout.scene.bodies):
             for q in BODY_QUANTITIES:
@@ -55,10 +58,13 @@ class OutputWriter:
                     q,
                     writer.reads,
                     lambda q=q, writer=writer: writer.measure(q),
+                    writer.reads_z,
                 )
-        everything = tuple(range(self.layout.size * len(self.layout.scene.bodies)))
+        bodies = tuple(range(self.layout.size * len(self.layout.scene.bodies)))
+        own = tuple(row for writer in self.connectors for row in writer.own_rows)
+        unknown = tuple(row for writer in self.connectors for row in writer.reads_z)
         for q in SCENE_QUANTITIES:
-            add("", q, everything, lambda q=q: self._of_scene(q))
+            add("", q, (*bodies, *own), lambda q=q: self._of_scene(q), unknown)
         return outputs
 
     def requested(self, outputs: dict[str, Output]) -> tuple[str, ...]:
@@ -100,7 +106,9 @@ class OutputWriter:
 
     def _of_scene(self, q: Quantity) -> tuple[ca.Function, ca.SX]:
         scene = self.layout.scene
-        x = ca.SX.sym("x", self.layout.size * len(scene.bodies))
+        n = self.layout.size * len(scene.bodies)
+        x = ca.SX.sym("x", n + sum(len(w.own_rows) for w in self.connectors))
+        z = ca.SX.sym("z", sum(len(w.reads_z) for w in self.connectors))
         columns = [to_expr(scene.gravity), *(body_column(body) for body in scene.bodies)]
         stored, symbols = ca.SX(0), []
         summed = q.of_connectors
@@ -108,11 +116,11 @@ class OutputWriter:
             function, column = writer.measure(part)
             columns.append(column)
             symbols.append(ca.SX.sym("c", column.numel()))
-            stored += function(0, x[list(writer.reads)], ca.SX(0, 1), symbols[-1])
+            stored += function(0, x[list(writer.reads)], z[list(writer.reads_z)], symbols[-1])
         c = ca.SX.sym("c", 3 + BODY * len(scene.bodies))
         views = [
             self._view(part, c[3 + BODY * i : 3 + BODY * (i + 1)])
-            for i, part in enumerate(self.layout.split(x))
+            for i, part in enumerate(self.layout.split(x[:n]))
         ]
         value = q.measure((views, c[:3], stored))
-        return kernel(q.name, x, ca.vertcat(c, *symbols), value), ca.vertcat(*columns)
+        return kernel(q.name, x, ca.vertcat(c, *symbols), value, z=z), ca.vertcat(*columns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import wraps
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -169,19 +170,25 @@ def connector_in(
         ]
     (marker0, joint0), (marker1, joint1) = ((axes[m.body].marker(m), joint) for m, joint in frames)
     changes: dict[str, Any] = {}
-    plain = joint0 is EYE and joint1 is EYE and c.force is None and c.law.turns_with_frames
+    users = {name: getattr(c, name) for name in ("force", "events", "post_newton_step")}
+    plain = joint0 is EYE and joint1 is EYE and c.law.turns_with_frames
+    plain = plain and not c.effects and not any(users.values())
     if plain and not (np.abs(marker0.rotation) == 1).any():
         P = marker0.rotation.T
         marker0 = replace(marker0, rotation=EYE)
         marker1 = replace(marker1, rotation=snap_rotation(marker1.rotation @ P))
         changes = _turned(c, P.T)
-    if c.force is not None and (Q != EYE).any():  # it is told rotJ0 and rotJ1 in world axes
-        user = c.force
-        changes["force"] = lambda *a: user(*a[:9], Q @ a[9], Q @ a[10], *a[11:])
+    if (Q != EYE).any():  # users are told rotJ0 and rotJ1 in world axes
+        changes |= {name: _turning(user, Q) for name, user in users.items() if user}
     return replace(
         c, marker0=marker0, rotation_marker0=joint0, marker1=marker1, rotation_marker1=joint1,
         **changes,
     )  # fmt: skip
+
+
+def _turning(user: Any, Q: np.ndarray) -> Any:
+    """A user function that is told frames in the new world axes, given those in its own."""
+    return wraps(user)(lambda *a: user(*a[:-3], Q @ a[-3], Q @ a[-2], a[-1]))
 
 
 def _turned(c: RigidBodySpringDamper, R: np.ndarray) -> dict[str, np.ndarray]:

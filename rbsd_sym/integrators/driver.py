@@ -6,7 +6,7 @@ import contextlib
 import io
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -58,9 +58,9 @@ def run(
         end = Outcome.reached_end
         return assemble(model, experiment, still, still, end, end.value, {"time": 0.0})
     if model.n_z:
-        z, consistent = _consistent(model, experiment)
+        z, consistent = consistent_start(model, experiment)
         if not consistent:
-            return _not_consistent(model, experiment)
+            return not_consistent(model, experiment)
         experiment = replace(experiment, z=z)
     if model.n_x == 0:
         return _quasi_static(model, experiment, started)
@@ -70,9 +70,9 @@ def run(
         options = {**with_rates([float(rate) for rate in rates]), **options}
     integrator, kept = _integrator(model, experiment, plugin, options)
     built = time.perf_counter()
-    result = _evaluate(integrator, experiment)
+    result = call_integrator(integrator, experiment)
     if model.n_z:
-        _settle(model, experiment, result)
+        settle(model, experiment, result)
     if result.failed:
         raise_of_user(kept)
     stats: dict[str, float | str] = {}
@@ -98,7 +98,8 @@ def _integrator(
     if fixed and key in model.memo:
         return model.memo[key], []
     kept: list[Any] = []
-    dae = _dae(model, inputs, kept)
+    dae = casadi_dae(model, inputs, kept)
+    del dae["u"]
     try:
         function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
     except RuntimeError as error:
@@ -111,8 +112,12 @@ def _integrator(
     return function, kept
 
 
-def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str, Any]:
-    """CasADi's DAE: constant inputs are parameters after p, the others functions of time."""
+def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str, Any]:
+    """CasADi's DAE, and `u`: constant inputs are parameters after p, the others functions of time.
+
+    Arguments:
+        kept: is given what must live as long as the result.
+    """
     dae = model.dae
     traced = [symbolic(signal, dae.t) for signal in inputs]
     constant = [dae.u[i] for i, s in enumerate(inputs) if is_constant(s)]
@@ -122,7 +127,7 @@ def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str,
         u = ca.vertcat(ca.SX(0, 1), *(
             dae.u[i] if expr is None else expr for i, expr in enumerate(traced)))  # fmt: skip
         ode, alg = ca.substitute([dae.ode, dae.alg], [dae.u], [u])
-        return {"t": dae.t, "x": dae.x, "z": dae.z, "p": p, "ode": ode, "alg": alg}
+        return {"t": dae.t, "x": dae.x, "z": dae.z, "p": p, "ode": ode, "alg": alg, "u": u}
     t, x, z = ca.MX.sym("t"), ca.MX.sym("x", model.n_x), ca.MX.sym("z", model.n_z)
     q = ca.MX.sym("p", p.numel())
     entries, place = [], model.n_p
@@ -137,10 +142,10 @@ def _dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str,
     u = ca.vertcat(*entries)
     arguments = (t, x, z, u, q[: model.n_p])
     return {"t": t, "x": x, "z": z, "p": q, "ode": model.function("ode")(*arguments),
-            "alg": model.function("alg")(*arguments)}  # fmt: skip
+            "alg": model.function("alg")(*arguments), "u": u}  # fmt: skip
 
 
-def _evaluate(integrator: ca.Function, experiment: Experiment) -> Run:
+def call_integrator(integrator: ca.Function, experiment: Experiment) -> Run:
     """Call through buffers, which CasADi fills row by row: a failure keeps what came before."""
     n = len(experiment.t) - 1
     constant = [float(s) for s in experiment.inputs if is_constant(s)]  # type: ignore[arg-type]
@@ -228,9 +233,9 @@ def input_values(inputs: tuple[Signal, ...], t: np.ndarray) -> np.ndarray:
 
 def assemble(
     model: Model, experiment: Experiment, x: np.ndarray, z: np.ndarray, outcome: Outcome,
-    report: str, stats: Mapping[str, float | str],
+    report: str, stats: Mapping[str, float | str], events: Sequence[tuple[float, str]] = (),
 ) -> Trajectory:  # fmt: skip
-    """A `Trajectory` from its states (n, n_x) and (n, n_z)."""
+    """A `Trajectory` from its states (n, n_x) and (n, n_z), and what happened at which time."""
     dae, t = model.dae, experiment.t[: len(x)]
     columns = {label.name: Column(x[:, i], label.unit) for i, label in enumerate(dae.x_labels)}
     columns |= {label.name: Column(z[:, i], label.unit) for i, label in enumerate(dae.z_labels)}
@@ -242,17 +247,17 @@ def assemble(
     parameters = {label.name: float(v) for label, v in zip(labels, values, strict=True)}
     return Trajectory(
         model.name, t, columns, outcome, report, stats, parameters, states, model.digest,
-        model.measure, model.left_out,
+        model.measure, model.left_out, tuple((float(t), name) for t, name in events),
     )  # fmt: skip
 
 
-def _consistent(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
+def consistent_start(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
     """Z that solves alg = 0 at the start, by Newton's method from the given z."""
     u = input_values(e.inputs, e.t[:1])[:, 0]
     return model.consistent(float(e.t[0]), e.x, e.z, u, e.p)
 
 
-def _settle(model: Model, e: Experiment, result: Run) -> None:
+def settle(model: Model, e: Experiment, result: Run) -> None:
     """Solve alg = 0 again at the saved points: between its steps an integrator interpolates z.
 
     All points at once by Newton's method, those where it does not settle one by one.
@@ -295,7 +300,8 @@ def _quasi_static(model: Model, e: Experiment, started: float) -> Trajectory:
     return assemble(model, e, np.zeros((len(z), 0)), np.array(z), end, report, stats)
 
 
-def _not_consistent(model: Model, e: Experiment) -> Trajectory:
+def not_consistent(model: Model, e: Experiment) -> Trajectory:
+    """A `Trajectory` of the start alone, whose algebraic unknowns could not be solved."""
     advice = "; give start values of the algebraic unknowns near a solution (start={name: value})"
     outcome = Outcome.not_consistent
     return assemble(model, e, e.x[None, :], e.z[None, :], outcome, outcome.value + advice, {})

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from ..model import Model
 from ..trajectory import Experiment, Trajectory
+from .casadi_run import run_with_events
 from .checks import check_options, judge_runge_kutta, refuse_unknowns, runge_kutta_options
 from .driver import run
 
@@ -49,4 +50,5 @@ class ExplicitRK:
         options = {"reltol": self.rtol, "abstol": self.atol, **self.casadi_options}
         count = {"steps": "n_steps", "evaluations": "n_rhs", "rejected_steps": "n_reject"}
         judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731
-        return run(model, experiment, self.plugin, options, judge, count)
+        solve = run_with_events if model.dae.events or model.dae.updates else run
+        return solve(model, experiment, self.plugin, options, judge, count)

@@ -8,10 +8,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
 from .checks import check_options
-from .driver import Run, Verdict, run
+from .driver import Run, Verdict, input_values, run
+from .events import Point
+from .post_newton import PostNewton
+from .windows import Walk, follow
 
 _FIRST_STEP = 1e-7  # of the run, with algebraic unknowns
 _LARGE = 60  # states and unknowns, above which csparse is faster than qr
@@ -35,6 +40,13 @@ _REASONS = {
 }  # fmt: skip
 
 
+_COUNT = {
+    "steps": "nsteps", "evaluations": "nfevals", "jacobians": "nlinsetups",
+    "newton_iterations": "nniters", "rejected_steps": "netfails",
+    "failed_newton": "nncfails", "last_order": "qlast", "last_step": "hlast",
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Idas:
     """IDAS [Hindmarsh et al. 2005], through CasADi, with exact sparse Jacobians.
@@ -53,7 +65,11 @@ class Idas:
             where they tie; `trajectory.stats` tells which.
         max_steps: within one output interval.
         max_step, first_step: s; None lets IDAS choose.
+        post_newton: how far post-Newton steps are resolved.
         options: more of CasADi's options for the plugin, by their names.
+
+    A model with events is watched eight times an output interval, and IDAS starts again after each
+    (see `integrators.events`).
     """
 
     rtol: float = 1e-8
@@ -64,6 +80,7 @@ class Idas:
     max_step: float | None = None
     first_step: float | None = None
     safety: float = 0.1
+    post_newton: PostNewton = field(default_factory=PostNewton)
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
@@ -90,14 +107,31 @@ class Idas:
             options["max_step_size"] = self.max_step
         if self.first_step:
             options["step0"] = self.first_step
-        count = {
-            "steps": "nsteps", "evaluations": "nfevals", "jacobians": "nlinsetups",
-            "newton_iterations": "nniters", "rejected_steps": "netfails",
-            "failed_newton": "nncfails", "last_order": "qlast", "last_step": "hlast",
-        }  # fmt: skip
+        if model.dae.events or model.dae.updates:
+            return self._walk(model, experiment, options)
         return run(
-            model, experiment, "idas", options | dict(self.options), _judge, count, _given_start
+            model, experiment, "idas", options | dict(self.options), _judge, _COUNT, _given_start
         )
+
+    def _walk(self, model: Model, experiment: Experiment, options: dict[str, Any]) -> Trajectory:
+        """In stretches, from event to event; in each, time is scaled to 0 ... 1."""
+        rates = model.function("ode")
+
+        def scaled(start: Point, length: float) -> dict[str, Any]:
+            own = dict(options)
+            for name, value in (("max_step_size", self.max_step), ("step0", self.first_step)):
+                if value:
+                    own[name] = value / length
+            if model.n_z:
+                u = input_values(experiment.inputs, np.array([start.t]))[:, 0]
+                given = rates(start.t, start.x, start.z, u, experiment.p)
+                own |= {"step0": _FIRST_STEP}
+                own |= _given_start([float(length * rate) for rate in np.array(given).reshape(-1)])
+            return own | dict(self.options)
+
+        tolerances = options["reltol"], options["abstol"]
+        walk = Walk(model, experiment, "idas", scaled, tolerances, self.post_newton)
+        return follow(walk, _judge, _COUNT)
 
 
 def _given_start(rates: list[float]) -> dict[str, Any]:

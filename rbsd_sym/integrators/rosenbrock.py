@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from ..model import Model
 from ..trajectory import Experiment, Trajectory
+from .casadi_run import run_with_events
 from .checks import check_options, judge_runge_kutta, runge_kutta_options
 from .driver import run
 
@@ -45,4 +46,5 @@ class Rosenbrock:
         count = {"steps": "n_steps", "evaluations": "n_rhs", "jacobians": "n_jac",
                  "rejected_steps": "n_reject"}  # fmt: skip
         judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731
-        return run(model, experiment, self.plugin, options, judge, count)
+        solve = run_with_events if model.dae.events or model.dae.updates else run
+        return solve(model, experiment, self.plugin, options, judge, count)

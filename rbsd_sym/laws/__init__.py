@@ -1,11 +1,24 @@
-"""Connector laws: relative motion of two markers to a wrench; one file per law."""
+"""Connector laws: relative motion of two markers to a wrench; one file per law.
+
+`Standard`, `Intrinsic` and `Consistent` say what strain and rate are; effects, such as `Contact`,
+add forces along one component of them.
+"""
 
 from .base import Law, Relative, Response, SpringDamper, respond
 from .consistent import Consistent
+from .contact import Contact, stops
+from .effect import Effect, Own
+from .fracture import Fracture
+from .friction import Friction, LuGre
+from .impact import Impact
 from .intrinsic import Intrinsic
+from .maxwell import Maxwell
+from .plastic import Plastic
 from .standard import Standard
+from .stiffness import Cubic, Table
 
 __all__ = [
-    "Consistent", "Intrinsic", "Law", "Relative", "Response", "SpringDamper", "Standard",
-    "respond",
+    "Consistent", "Contact", "Cubic", "Effect", "Fracture", "Friction", "Impact", "Intrinsic",
+    "Law", "LuGre", "Maxwell", "Own", "Plastic", "Relative", "Response", "SpringDamper", "Standard",
+    "Table", "respond", "stops",
 ]  # fmt: skip

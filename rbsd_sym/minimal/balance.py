@@ -15,7 +15,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from ..dae import Balance, Dae, Expansion, Label, Part, pick
+from ..dae import Dae, Expansion
+from ..parts import Balance, Label, Part, pick
 from .undecided import Block, mixed, settle
 
 _SHOWN = 12  # start values in one note

@@ -8,7 +8,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ..dae import Dae, Expansion, Part, numbers_of, pick
+from ..dae import Dae, Expansion
+from ..parts import Event, Part, numbers_of, pick
 from ..zeros import fold
 from .probing import at_rest
 
@@ -18,8 +19,9 @@ def freeze(dae: Dae) -> Dae:
 
     Let Z be a set of states; if their rates are zero with Z at its start, for all values of the
     other states, inputs and parameters, Z never moves. The greatest such set that can be proven is
-    found by starting with all states and removing those whose rate is not provably zero. It is
-    sound, not complete. The dropped motion may be unstable: see `Reduction.transverse`.
+    found by starting with all states and removing those whose rate is not provably zero. Data
+    states are free, and so is what an event changes. It is sound, not complete. The dropped motion
+    may be unstable: see `Reduction.transverse`.
     """
     gone = _Frozen(dae).solve()
     kept = [i for i in range(dae.x.numel()) if i not in gone]
@@ -56,6 +58,7 @@ class _Frozen:
     def __init__(self, dae: Dae) -> None:
         self.dae = dae
         n = dae.x.numel()
+        self.parts = (*dae.parts, *(_as_part(event) for event in dae.events))
         self.frozen = at_rest(dae)
         self.x, self.start = ca.vertsplit(dae.x), ca.vertsplit(dae.x_start)
         self.values = numbers_of(dae.x_start)
@@ -63,15 +66,15 @@ class _Frozen:
         self.readers: list[set[int]] = [set() for _ in range(n)]
         self.local: list[ca.SX] = []
         self.known: dict[Hashable, list[ca.SX | None]] = {}
-        for k, part in enumerate(dae.parts):
+        for k, part in enumerate(self.parts):
             for row in part.reads:
                 self.readers[row].add(k)
 
     def solve(self) -> frozenset[int]:
         """Indices of the states that never move, among those that probing sees at rest."""
-        dirty = set(range(len(self.dae.parts)))
+        dirty = set(range(len(self.parts)))
         while dirty:
-            dirty = {k for k in dirty if self.frozen[list(self.dae.parts[k].ode_rows)].any()}
+            dirty = {k for k in dirty if self.frozen[list(self.parts[k].ode_rows)].any()}
             touched = {row for k in dirty for row in self._evaluate(k)}
             released = [row for row in touched if self.frozen[row] and not self._is_zero(row)]
             self.frozen[released] = False
@@ -80,7 +83,7 @@ class _Frozen:
 
     def _evaluate(self, k: int) -> tuple[int, ...]:
         """Rates that part k adds with the frozen states at their start."""
-        part = self.dae.parts[k]
+        part = self.parts[k]
         reads = list(part.reads)
         still, values = self.frozen[reads], self.values[reads]
         formulas = tuple(str(self.start[i]) for i, v, f in zip(reads, values, still, strict=True)
@@ -112,8 +115,20 @@ class _Frozen:
 
     def _is_zero(self, row: int) -> bool:
         total = ca.SX(0)
-        for rate in self.rates[row].values():
+        for k, rate in self.rates[row].items():
             if rate is None:
                 return False
+            if k >= len(self.dae.parts):  # an event: no rate can make up for it
+                if not rate.is_zero():
+                    return False
+                continue
             total = total + rate
         return bool(total.is_zero())
+
+
+def _as_part(event: Event) -> Part:
+    """The changes that an event makes in place of rates."""
+    t, x, z, c = event.kernel.sx_in()
+    change = event.kernel(t, x, z, c)[1]
+    kernel = ca.Function("change", [t, x, z, c], [change, ca.SX(0, 1)])
+    return Part(event.name, kernel, event.reads, event.reads_z, event.constants, event.rows)

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import casadi as ca
 
-from ..dae import Balance, Dae, Expansion, Label, Part, Turn
+from ..dae import Dae, Expansion
+from ..parts import Balance, Label, Motion, Part, Turn
 
 
 def planar(dae: Dae) -> Dae:
@@ -23,8 +24,8 @@ def planar(dae: Dae) -> Dae:
     states, rows = list(ca.vertsplit(expansion.states)), list(expansion.rows)
     x, start = list(ca.vertsplit(dae.x)), list(ca.vertsplit(dae.x_start))
     labels, full_labels = list(dae.x_labels), list(expansion.labels)
-    parts, gone, balances = list(dae.parts), set(), list(dae.balances)
-    pass_on = _pass_on(dae)
+    parts, gone = list(dae.parts), set()
+    balances, motions, pass_on = dae.balances, dae.motions, _pass_on(dae)
     for turn in dae.turns:
         axis = _axis(rows, states, turn)
         w_row, v_row = turn.quaternion[0], turn.quaternion[(axis or 0) + 1]
@@ -38,7 +39,8 @@ def planar(dae: Dae) -> Dae:
         states[w_row], states[v_row] = ca.cos(x[w] / 2), ca.sin(x[w] / 2)
         rows[w_row] = rows[v_row] = None
         parts.append(Part(name, pass_on, (turn.velocity[axis],), (), ca.SX(0, 1), (len(states),)))
-        balances = [_about_one_axis(b, turn, axis, len(states)) for b in balances]
+        balances = tuple(_about_one_axis(b, turn, axis, len(states)) for b in balances)
+        motions = tuple(_angle(m, turn, axis, len(states)) for m in motions)
         states.append(x[w])
         rows.append(w)
         full_labels.append(labels[w])
@@ -49,7 +51,8 @@ def planar(dae: Dae) -> Dae:
         x_labels=tuple(labels),
         x_start=ca.vertcat(*start),
         parts=tuple(parts),
-        balances=tuple(balances),
+        balances=balances,
+        motions=motions,
         expansion=Expansion(
             ca.vertcat(*states), tuple(full_labels), tuple(rows), (None,) * len(rows)
         ),
@@ -96,6 +99,15 @@ def _about_one_axis(balance: Balance, turn: Turn, axis: int, angle: int) -> Bala
     velocity = ca.SX.sym("w")
     same = ca.Function("kinematics", [ca.SX.sym("a"), velocity], [velocity])
     return Balance(balance.name, (angle,), w, idle, same)
+
+
+def _angle(motion: Motion, turn: Turn, axis: int, angle: int) -> Motion:
+    """The motion of a rotation that has become one angle, in row `angle`; others as they are."""
+    if motion.coordinates != turn.quaternion:
+        return motion
+    a, step = ca.SX.sym("a"), ca.SX.sym("step")
+    added = ca.Function("retract", [a, step], [a + step])
+    return Motion(motion.name, (angle,), turn.velocity[axis : axis + 1], added)
 
 
 def _pass_on(dae: Dae) -> ca.Function:

@@ -17,7 +17,7 @@ def at_rest(dae: Dae) -> np.ndarray:
     """Whether each state stays at its start, as far as random values tell (n,).
 
     The greatest fixed point of `freeze`, decided by numbers. A state that is not in it does move; a
-    proof can only be found for one that is.
+    proof can only be found for one that is. Data states count as moving.
     """
     n = dae.x.numel()
     if n == 0:
@@ -27,6 +27,8 @@ def at_rest(dae: Dae) -> np.ndarray:
     allowed = _ROUNDING * (1 + probe.sizes()[:n])
     probe.set(np.arange(n), probe.start)
     still = np.ones(n, bool)
+    still[list(dae.data)] = False
+    probe.set(np.array(dae.data, int), probe.moved)
     while (released := np.flatnonzero(still & (probe.sizes()[:n] > allowed))).size:
         still[released] = False
         probe.set(released, probe.moved)
@@ -64,7 +66,7 @@ class _Probe:
         changed[rows] = True
         for known in self.known:
             group = known.group
-            if len(rows) == len(values):
+            if len(rows) == len(values) > 0:
                 dirty = np.arange(group.writes.shape[1])
             else:
                 dirty = np.flatnonzero(changed[group.reads].any(axis=0))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from ..dae import Dae, Label
+from ..dae import Dae
+from ..parts import Label
 from ..reduction import Dropped, Replaced
 
 _NEVER_MOVES = "its rate is zero while all dropped states keep their start values"

@@ -18,7 +18,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from ..dae import Balance, Dae, Part
+from ..dae import Dae
+from ..parts import Balance, Part
 
 _TAU = 1e-3  # s; the result does not depend on it, rounding grows with its inverse
 _RANK = 1e-9  # of a singular value, relative to the largest; rows are scaled

@@ -8,7 +8,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from ..dae import Dae, Expansion, Part, pick
+from ..dae import Dae, Expansion
+from ..parts import Part, pick
 
 
 def unused(dae: Dae) -> Dae:
@@ -22,6 +23,7 @@ def unused(dae: Dae) -> Dae:
     kept_x, kept_z, kept_alg = _felt(dae)
     if len(kept_x) == dae.x.numel() and len(kept_z) == dae.z.numel():
         return dae
+    events = tuple(event for i, event in enumerate(dae.events) if _acts(dae, i, kept_x))
     gone = [dae.x[i] for i in range(dae.x.numel()) if i not in kept_x]
     gone += [dae.z[i] for i in range(dae.z.numel()) if i not in kept_z]
     start = [dae.x_start[i] for i in range(dae.x.numel()) if i not in kept_x]
@@ -44,6 +46,9 @@ def unused(dae: Dae) -> Dae:
         _only(dae, sorted(kept_x), sorted(kept_z)),
         parts=tuple(_renumbered(part, alg_place) for part in dae.parts
                     if _matters(part, rows, alg_rows, alg_place)),
+        events=events,
+        holds=tuple(replace(hold, alg_row=alg_place[hold.alg_row]) for hold in dae.holds
+                    if hold.alg_row in alg_place),
         expansion=expansion,
     )  # fmt: skip
 
@@ -63,16 +68,26 @@ def _only(dae: Dae, x: list[int], z: list[int]) -> Dae:
 def _felt(dae: Dae) -> tuple[set[int], set[int], set[int]]:
     """States, unknowns and equations that the requested outputs depend on.
 
-    An unknown needs every equation it is in, and so every unknown in these.
+    An unknown needs every equation it is in, and so every unknown in these. An event that changes a
+    state needs what it looks at; so does one that changes nothing, which someone waits for.
     """
     n = dae.x.numel()
     xz = ca.vertcat(dae.x, dae.z)
     reads = _rows(ca.jacobian_sparsity(ca.vertcat(dae.ode, dae.alg), xz))
+    watched: set[int] = set()
+    for i, looks in enumerate(_looks(dae, xz)):
+        changed = dae.jump[:, i].sparsity().row()
+        for row in changed:
+            reads[row] = [*reads[row], *looks]
+        watched |= set() if changed and not dae.events[i].stops else set(looks)
+    if dae.updates:
+        for row in dae.data:
+            reads[row] = [*reads[row], *_together(ca.jacobian_sparsity(dae.update, xz))]
     equations: dict[int, set[int]] = {}
     for row in range(n, len(reads)):
         for column in reads[row]:
             equations.setdefault(column, set()).add(row)
-    todo = {column for row in _rows(ca.jacobian_sparsity(dae.out, xz)) for column in row}
+    todo = watched | set(_together(ca.jacobian_sparsity(dae.out, xz)))
     felt: set[int] = set()
     alg: set[int] = set()
     while todo:
@@ -86,6 +101,25 @@ def _felt(dae: Dae) -> tuple[set[int], set[int], set[int]]:
         {i - n for i in felt if i >= n},
         {row - n for row in alg},
     )
+
+
+def _looks(dae: Dae, xz: ca.SX) -> list[list[int]]:
+    """States and unknowns that each event depends on."""
+    return [
+        _together(ca.jacobian_sparsity(ca.vertcat(dae.zero[i], ca.densify(dae.jump[:, i])), xz))
+        for i in range(len(dae.events))
+    ]
+
+
+def _acts(dae: Dae, i: int, kept: set[int]) -> bool:
+    """Whether an event changes a state that is kept, or is waited for."""
+    changed = dae.jump[:, i].sparsity().row()
+    return dae.events[i].stops or not changed or bool(set(changed) & kept)
+
+
+def _together(pattern: ca.Sparsity) -> list[int]:
+    """Columns with a nonzero."""
+    return sorted({column for row in _rows(pattern) for column in row})
 
 
 def _rows(pattern: ca.Sparsity) -> list[list[int]]:
@@ -111,7 +145,9 @@ def without_effect(dae: Dae) -> Dae:
     """Move the parameters that nothing in the model and its requested outputs feels out of p."""
     if not dae.p.numel():
         return dae
-    everything = ca.vertcat(dae.ode, dae.alg, dae.x_start, dae.z_start, dae.out)
+    everything = ca.vertcat(
+        dae.ode, dae.alg, dae.x_start, dae.z_start, dae.out, dae.zero, ca.vec(dae.jump), dae.update
+    )
     felt = np.array(ca.which_depends(everything, dae.p, 1, False), bool).reshape(-1)
     if felt.all():
         return dae

@@ -1,0 +1,292 @@
+"""What connectors of one kind do to their bodies, as kernels shared by all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from ..laws import Effect, Law, Relative, Response, SpringDamper, respond
+from ..laws.effect import Change
+from ..mechanics import (
+    Body,
+    MarkerOnBody,
+    Motion,
+    Wrench,
+    displaced,
+    ground_motion,
+    marker_motion,
+    power,
+    seen_from_first,
+    torque_on_body,
+)
+from ..scene import Functions
+from ..sensors import ConnectorView, Quantity
+from ..symbols import TIME
+from .columns import COMPLIANCE, MARKER, marker_of
+from .layout import Layout, accelerations, kernel
+
+_NUMBERS = 84  # K (36), D (36), offset (6), velocity_offset (6)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What two connectors must have in common to share their kernels.
+
+    `places` says for each marker which of the connector's bodies carries it, None for the ground;
+    `effects` are the structures of the effects.
+    """
+
+    law: Law
+    places: tuple[int | None, int | None]
+    functions: Functions
+    effects: tuple[Any, ...]
+    n_data: int
+
+    @property
+    def n_bodies(self) -> int:
+        """Number of moving bodies the connector touches: 0, 1 or 2."""
+        return len({place for place in self.places if place is not None})
+
+
+class _Sight(NamedTuple):
+    """What a kernel sees of its connector; `respond` answers to other motions of its markers."""
+
+    response: Response
+    respond: Callable[..., Response]
+    markers: list[MarkerOnBody]
+    motions: list[Motion]
+    bodies: list[Body]
+
+
+@dataclass(frozen=True, eq=False)
+class Reaction:
+    """Kernels of connectors of one kind, over the states x of their bodies and their own.
+
+    Arguments:
+        effects: of one of them, for their structure.
+        n_constants: entries of the column of constants (see `ConnectorWriter.constants`).
+    """
+
+    kind: Kind
+    layout: Layout
+    effects: tuple[Effect, ...]
+    n_constants: int
+
+    @cached_property
+    def x(self) -> ca.SX:
+        """States of the bodies, then its own."""
+        return ca.SX.sym("x", self.n_body_rows + self.n_own)
+
+    @property
+    def n_body_rows(self) -> int:
+        """Rows of the bodies."""
+        return self.kind.n_bodies * self.layout.size
+
+    @property
+    def n_own(self) -> int:
+        """Its data and internal states."""
+        return self.kind.n_data + sum(len(effect.own) for effect in self.effects)
+
+    @cached_property
+    def z(self) -> ca.SX:
+        """Its unknown forces."""
+        return ca.SX.sym("z", sum(len(effect.unknowns) for effect in self.effects))
+
+    @cached_property
+    def c(self) -> ca.SX:
+        """Its constants."""
+        return ca.SX.sym("c", self.n_constants)
+
+    @property
+    def own(self) -> ca.SX:
+        """Its data and internal states."""
+        return self.x[self.n_body_rows :]
+
+    @cached_property
+    def bodies(self) -> list[Body]:
+        """Its bodies."""
+        return [self.layout.body(part) for part in self.layout.split(self.x[: self.n_body_rows])]
+
+    @cached_property
+    def _tail(self) -> ca.SX:
+        """Constants after markers, numbers and compliances."""
+        return self.c[2 * MARKER + _NUMBERS + COMPLIANCE * self.kind.n_bodies :]
+
+    def _leaves(self, name: str) -> ca.SX:
+        """Values of the symbols that a user function uses."""
+        first = 0
+        for key, traced in self.kind.functions._asdict().items():
+            n = len(traced.leaves) if traced else 0
+            if key == name:
+                return self._tail[first : first + n]
+            first += n
+        raise KeyError(name)
+
+    def _bound(self) -> tuple[Effect, ...]:
+        """The effects with symbols for their numbers."""
+        bound, end = [], self._tail.numel()
+        for effect in reversed(self.effects):
+            n = effect.column.numel()
+            bound.append(effect.bound(self._tail[end - n : end]))
+            end -= n
+        return tuple(reversed(bound))
+
+    def see(self, bodies: list[Body]) -> _Sight:
+        """The connector with its bodies in any axes."""
+        kind, k, c = self.kind, 2 * MARKER, self.c
+        markers = [marker_of(c[:MARKER]), marker_of(c[MARKER:k])]
+        motions = [
+            ground_motion(marker) if place is None else marker_motion(bodies[place], marker)
+            for marker, place in zip(markers, kind.places, strict=True)
+        ]
+        user, force = None, kind.functions.force
+        if force is not None:
+            user = lambda *given: force.function(*given, self._leaves("force"))  # noqa: E731
+        numbers = SpringDamper(
+            ca.reshape(c[k : k + 36], 6, 6), ca.reshape(c[k + 36 : k + 72], 6, 6),
+            c[k + 72 : k + 78], c[k + 78 : k + 84], user, self._bound(), self.own, self.z,
+            kind.n_data, self._gives,
+        )  # fmt: skip
+        answer = partial(respond, kind.law, numbers, TIME.expr)
+        return _Sight(answer(*motions), answer, markers, motions, bodies)
+
+    @cached_property
+    def _sight(self) -> _Sight:
+        return self.see(self.bodies)
+
+    def accelerate(self, sight: _Sight, wrenches: tuple[Wrench, Wrench], R_WE: ca.SX) -> ca.SX:
+        """What wrenches on its markers give its bodies: (v', w') of each.
+
+        Arguments:
+            R_WE: from the axes of the wrenches to the world's.
+        """
+        first, rates = 2 * MARKER + _NUMBERS, [ca.SX.zeros(6)] * len(sight.bodies)
+        f0_W = R_WE @ wrenches[0].f
+        opposite = ca.is_equal(wrenches[1].f, -wrenches[0].f, 2)
+        forces = (f0_W, -f0_W if opposite else R_WE @ wrenches[1].f)
+        for i, place in enumerate(self.kind.places):
+            if place is not None:
+                compliance = self.c[first + COMPLIANCE * place : first + COMPLIANCE * (place + 1)]
+                torque = torque_on_body(sight.bodies[place], sight.markers[i].p_BA, wrenches[i])
+                rates[place] += accelerations(forces[i], torque, compliance)
+        return ca.vertcat(*rates)
+
+    def _impulse(self, force: ca.SX, relative: Relative) -> ca.SX:
+        """Change of the bodies' velocities by an impulse (6, 1) in the axes of the force."""
+        markers = [marker_of(self.c[:MARKER]), marker_of(self.c[MARKER : 2 * MARKER])]
+        sight = _Sight(None, None, markers, [], self.bodies)  # type: ignore[arg-type]
+        return self.accelerate(sight, relative.transmit(force), ca.SX.eye(3))
+
+    def _gives(self, relative: Relative, axis: int) -> ca.SX:
+        """How much the rate along an axis falls for a unit impulse."""
+        unit = ca.SX(6, 1)
+        unit[axis] = 1
+        return -ca.jtimes(relative.rate[axis], self.x, self._on_velocities(
+            self._impulse(unit, relative)))  # fmt: skip
+
+    def _on_velocities(self, change: ca.SX) -> ca.SX:
+        """A change of velocities as one of all of x."""
+        parts = [part for body in ca.vertsplit(change, 6)
+                 for part in (ca.SX.zeros(self.layout.size - 6), body)]  # fmt: skip
+        return ca.vertcat(*parts, ca.SX.zeros(self.n_own)) if change.numel() else 0 * self.x
+
+    def rates(self) -> ca.Function:
+        """(accelerations of its bodies, rates of its own states; equations of its unknowns)."""
+        bodies, R_WE = self.bodies, ca.SX.eye(3)
+        # A user may look at the world's axes, and an impulse is worked out there.
+        if len(bodies) == 2 and self.kind.functions.force is None and not self.effects:
+            R_WE = bodies[0].motion.frame.R_WA
+            bodies = seen_from_first(bodies[0], bodies[1], self.layout.coordinates.quaternion)
+        sight = self.see(bodies)
+        response = sight.response
+        rates = self.accelerate(sight, (response.wrench0, response.wrench1), R_WE)
+        equations = (answer.equation for answer in response.answers)
+        return kernel(
+            "connector", self.x, self.c, ca.vertcat(rates, self._own_rates(response)),
+            ca.vertcat(ca.SX(0, 1), *equations), z=self.z,
+        )  # fmt: skip
+
+    def _own_rates(self, response: Response) -> ca.SX:
+        return ca.vertcat(ca.SX.zeros(self.kind.n_data), *(a.rates for a in response.answers))
+
+    def hold(self, index: int) -> ca.Function:
+        """(rate that effect `index` holds, weight of its derivative in the equation)."""
+        sight = self._sight
+        axis = self.effects[index].axis  # type: ignore[attr-defined]
+        rate = sight.response.relative.rate[axis]
+        driven = getattr(self._bound()[index], "velocity", 0)
+        held = sight.response.answers[index].held
+        return kernel("hold", self.x, self.c, rate - driven, held, z=self.z)
+
+    def change(self, index: int, change: Change) -> ca.Function:
+        """(zero function, change of velocities and own states) of an event of effect `index`."""
+        relative, effects = self._sight.response.relative, self.effects
+        first = self.kind.n_data + sum(len(effect.own) for effect in effects[:index])
+        own = ca.SX.zeros(self.n_own)
+        last = first + len(effects[index].own)
+        own[first:last] = change.own - self.own[first:last]
+        impulse = ca.SX.zeros(6)
+        if not change.impulse.is_zero():
+            impulse[effects[index].axis] = change.impulse  # type: ignore[attr-defined]
+        jump = ca.vertcat(self._impulse(impulse, relative), own)
+        return kernel("event", self.x, self.c, change.zero, jump, z=self.z)
+
+    def changes(self) -> list[tuple[int, Change]]:
+        """The events of its effects, each with the index of its effect."""
+        answers = self._sight.response.answers
+        return [(i, change) for i, answer in enumerate(answers) for change in answer.changes]
+
+    def _user(self, name: str) -> ca.SX:
+        """Result of a user function that is given the data."""
+        relative = self._sight.response.relative
+        frames = [motion.frame.R_WA for motion in self._sight.motions]
+        function = getattr(self.kind.functions, name).function
+        data = self.own[: self.kind.n_data]
+        return function(
+            TIME.expr, relative.strain, relative.rate, *frames, data, self._leaves(name)
+        )
+
+    def user_event(self, first: int) -> ca.Function:
+        """(zero function, change of velocities and own states) of a user's event."""
+        n, relative = self.kind.n_data, self._sight.response.relative
+        block = self._user("events")[first : first + 7 + n]
+        own = ca.vertcat(block[7:] - self.own[:n], ca.SX.zeros(self.n_own - n))
+        jump = ca.vertcat(self._impulse(block[1:7], relative), own)
+        return kernel("event", self.x, self.c, block[0], jump, z=self.z)
+
+    def update(self) -> ca.Function:
+        """(error, recommended step, new data) of the user's post_newton_step."""
+        block = self._user("post_newton")
+        return kernel("post_newton", self.x, self.c, block[0], block[1], block[2:], z=self.z)
+
+    def measure(self, quantity: Quantity) -> ca.Function:
+        """A quantity, from the constants and their explicit time derivative."""
+        sight, x = self._sight, self.x
+        response, motions = sight.response, sight.motions
+        split = self.layout.split(x[: self.n_body_rows])
+        rates = [*(self.layout.kinematic_rates(part) for part in split), self._own_rates(response)]
+        c_rate = ca.SX.sym("c_rate", self.n_constants)
+        energy = response.potential_energy
+        stored_rate = ca.jtimes(energy, self.c, c_rate)
+        if x.numel():
+            stored_rate += ca.jtimes(energy, x, ca.vertcat(*rates))
+        given = power(response.wrench0, motions[0]) + power(response.wrench1, motions[1])
+        tangents = (partial(_tangent, sight, held) for held in (False, True))
+        value = quantity.measure(ConnectorView(response, stored_rate, given, *tangents))
+        return kernel(quantity.name, x, ca.vertcat(self.c, c_rate), value, z=self.z)
+
+
+def _tangent(sight: _Sight, velocities: bool) -> ca.SX:
+    """Derivative (12, 12) of the wrenches by the markers' small motions, or by their velocities."""
+    step, still = ca.SX.sym("step", 12), ca.SX.zeros(6)
+    moved = [
+        displaced(motion, *((still, part) if velocities else (part, still)))
+        for motion, part in zip(sight.motions, (step[:6], step[6:]), strict=True)
+    ]
+    response = sight.respond(*moved)
+    wrenches = ca.vertcat(*response.wrench0, *response.wrench1)
+    return ca.densify(ca.substitute(ca.jacobian(wrenches, step), step, ca.SX.zeros(12)))

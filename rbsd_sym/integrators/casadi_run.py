@@ -1,0 +1,141 @@
+"""Runs of models with events by CasADi's one-step methods."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..model import Model
+from ..trajectory import Experiment, Outcome, Trajectory
+from .casadi_events import Recorded, add_events, extra_start, recorded
+from .driver import (
+    Run,
+    Verdict,
+    assemble,
+    call_integrator,
+    casadi_dae,
+    consistent_start,
+    failure_report,
+    not_consistent,
+    settle,
+)
+from .events import CLOSE, CROWD, Watch
+from .signals import is_constant, raise_of_user
+from .windows import End, guarded
+
+_MOST = 10_000  # events in a run
+_SEARCH = 500  # looks for one event
+
+
+def run_with_events(
+    model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any],
+    judge: Callable[[Run], Verdict], count: Mapping[str, str],
+) -> Trajectory:  # fmt: skip
+    """Integrate with a CasADi plugin and its events; arguments as of `driver.run`.
+
+    Raises:
+        ValueError: the model has post-Newton steps.
+    """
+    if model.dae.updates:
+        raise ValueError(
+            f"model '{model.name}': post_newton_step acts after accepted steps, which "
+            f"CasADi's {plugin} does not show; use GeneralizedAlpha() or Idas()"
+        )
+    if model.n_z:
+        z, consistent = consistent_start(model, experiment)
+        if not consistent:
+            return not_consistent(model, experiment)
+        experiment = replace(experiment, z=z)
+    started, watch = time.perf_counter(), Watch(model, experiment)
+    begun = guarded(lambda: watch.begin(float(experiment.t[0]), experiment.x, experiment.z))
+    if isinstance(begun, End):
+        x, z = experiment.x[None, :], experiment.z[None, :]
+        return assemble(model, experiment, x, z, begun.outcome or Outcome.solver_failed,
+                        begun.report, {}, watch.happened)  # fmt: skip
+    experiment = replace(experiment, x=begun.x, z=begun.z)
+    kept: list[Any] = []
+    integrator = _integrator(model, experiment, plugin, options, watch.instant, kept)
+    built = time.perf_counter()
+    whole = np.concatenate([experiment.x, extra_start()])
+    result = call_integrator(integrator, replace(experiment, x=whole))
+    record = recorded(model, result.x[_reached(result) - 1, model.n_x :], watch.happened)
+    result = result._replace(x=result.x[:, : model.n_x].copy())
+    if model.n_z:
+        settle(model, experiment, result)
+    if result.failed:
+        raise_of_user(kept)
+    stats: dict[str, float | str] = {"events": float(record.total)}
+    stats |= {ours: float(result.stats.get(theirs, np.nan)) for ours, theirs in count.items()}
+    stats |= {"time": time.perf_counter() - built, "time_build": built - started}
+    return _trajectory(model, experiment, result, judge, stats, record)
+
+
+def _reached(result: Run) -> int:
+    finite = np.isfinite(result.x).all(axis=1)
+    return max(1, int(finite.argmin()) if not finite.all() else len(finite))
+
+
+def _integrator(
+    model: Model, e: Experiment, plugin: str, options: Mapping[str, Any], instant: float,
+    kept: list[Any],
+) -> ca.Function:  # fmt: skip
+    """The integrator Function, kept with the model as in `driver`."""
+    fixed = all(is_constant(s) for s in e.inputs)
+    key = ("events", plugin, repr(sorted(options.items())), e.t.tobytes())
+    if fixed and key in model.memo:
+        return model.memo[key]
+    dae = casadi_dae(model, e.inputs, kept)
+    t, x, z, p, u = (dae[key] for key in ("t", "x", "z", "p", "u"))
+    if not isinstance(x, ca.MX):
+        over = ca.Function("dae", [t, x, z, p], [dae["ode"], dae["alg"], u])
+        t, x, z, p = (ca.MX.sym(key, dae[key].shape) for key in "txzp")
+        ode, alg, u = over(t, x, z, p)
+        dae = {"t": t, "x": x, "z": z, "p": p, "ode": ode, "alg": alg}
+    dae.pop("u", None)
+    dae, transition = add_events(model, dae, (t, x, z, u, p[: model.n_p]), instant)
+    chosen = {"transition": transition, "event_tol": instant, "max_event_iter": _SEARCH,
+              "max_events": _MOST, **options}  # fmt: skip
+    grid = [float(time) for time in e.t]
+    function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], chosen)
+    if fixed:
+        model.memo[key] = function
+    return function
+
+
+def _trajectory(
+    model: Model, e: Experiment, result: Run, judge: Callable[[Run], Verdict],
+    stats: dict[str, float | str], record: Recorded,
+) -> Trajectory:  # fmt: skip
+    n, last = _reached(result), min(record.t_stop, record.t_endless)
+    if last <= e.t[n - 1]:
+        n = int(np.searchsorted(e.t, last, side="right" if record.t_stop == last else "left"))
+        events = [event for event in record.events if event.t <= last]
+        outcome = Outcome.event if record.t_stop == last else Outcome.endless_events
+        report = f"{outcome.value} '{events[-1].name}' at t = {last:.9g} s"
+        if outcome is Outcome.endless_events:
+            report = (
+                f"{outcome.value}: {record.total} events up to t = {last:.9g} s, the last "
+                f"{CROWD} within {CLOSE:g} of the run, the last '{events[-1].name}'"
+            )
+        stats["t_failed"] = last
+        return assemble(model, e, result.x[:n], result.z[:n], outcome, report, stats, events)
+    x, z = result.x[:n], result.z[:n]
+    if not result.failed and n == len(e.t):
+        outcome = Outcome.reached_end
+        return assemble(model, e, x, z, outcome, outcome.value, stats, record.events)
+    endless = re.search(r"more than max_events = (\d+) events, the last at t = (\S+)",
+                        result.messages)  # fmt: skip
+    if endless:
+        outcome, stats["t_failed"] = Outcome.endless_events, float(endless[2])
+        report = f"{outcome.value}: {endless[1]} events up to t = {endless[2]} s"
+    else:
+        verdict = judge(result)
+        outcome, stats["t_failed"] = verdict.outcome, float(e.t[n - 1])
+        report = failure_report(model, e, x, z, outcome, verdict.t, verdict.advice)
+    return assemble(model, e, x, z, outcome, report, stats, record.events)

@@ -1,0 +1,270 @@
+"""Events along a run: which are watched, when they happen, in which order.
+
+The rules, for all integrators:
+
+- An event fires as its function falls through zero. Functions are known with their exact time
+  derivatives at the points where one looks; between two of them their cubic tells of a crossing
+  that the ends do not show.
+- A function that is zero (to rounding) at the start, or after an event, counts on the side to which
+  it moves; one that does not move counts as above.
+- An event that may fire `at_once` also does so where the start, or another event, leaves its
+  function below zero.
+- Events at one instant happen in the order of the model's list. After each the algebraic unknowns
+  are solved again and all events looked at anew. An event that has fired must have been above zero
+  again before it can fire once more.
+- Ten instants closer together than 1e-10 of the run, or a thousand events at one, end the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ..model import Model
+from ..trajectory import Experiment
+from .driver import input_values
+
+INSTANT = 1e-15  # of the run: times closer than this are one
+BAND = 10.0  # instants: a function this close to zero is zero
+CROWD = 10  # instants that follow each other
+CLOSE = 1e-10  # of the run: closer than this they never end
+_AT_ONCE = 1000
+_REFINED = 100  # looks in search of one crossing
+
+
+class Point(NamedTuple):
+    """A state of the run, and there the functions of the events and their rates."""
+
+    t: float
+    x: np.ndarray
+    z: np.ndarray
+    zero: np.ndarray
+    rate: np.ndarray
+
+
+class Happened(NamedTuple):
+    """An event that has fired."""
+
+    t: float
+    name: str
+
+
+class EventsDoNotEnd(Exception):
+    """Events that follow each other without end; `report` tells how many, and when."""
+
+    def __init__(self, t: float, report: str) -> None:
+        super().__init__(report)
+        self.t, self.report = t, report
+
+
+class Stopped(Exception):
+    """An event that ends the run, and the point after it."""
+
+    def __init__(self, point: Point, name: str) -> None:
+        self.point, self.name = point, name
+
+
+class Inconsistent(Exception):
+    """No algebraic unknowns after an event."""
+
+    def __init__(self, t: float) -> None:
+        self.t = t
+
+
+Advance = Callable[[Point, float], tuple[np.ndarray, np.ndarray] | None]
+"""(point, t) -> x, z at the later time t, or None if that fails."""
+
+
+@dataclass(eq=False)
+class Watch:
+    """The events of a model along one run.
+
+    Fields:
+        happened: what has fired so far.
+        armed: whether each event would fire as it falls; kept up to date by `begin` and `pass_on`.
+    """
+
+    model: Model
+    experiment: Experiment
+    happened: list[Happened] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        e, events = self.experiment, self.model.dae.events
+        self.instant = INSTANT * float(e.t[-1] - e.t[0]) + 4 * np.finfo(float).eps * abs(e.t[-1])
+        self.armed = np.zeros(len(events), bool)
+        self._at_once = np.array([event.at_once for event in events], bool)
+        self._instants: list[float] = []
+        self._functions = tuple(self.model.function(f) for f in ("zero", "zero_rate", "jump"))
+
+    def look(self, t: float, x: np.ndarray, z: np.ndarray) -> Point:
+        """The point with its functions and rates."""
+        given = (t, x, z, self._inputs(t), self.experiment.p)
+        zero, rate = (np.array(f(*given)).reshape(-1) for f in self._functions[:2])
+        return Point(t, x, z, zero, np.where(np.isfinite(rate), rate, 0.0))
+
+    def look_at(self, t: np.ndarray, x: np.ndarray, z: np.ndarray) -> list[Point]:
+        """Points at times (n,), states (n, n_x) and unknowns (n, n_z)."""
+        if not t.size:
+            return []
+        u = input_values(self.experiment.inputs, t)
+        p = np.repeat(self.experiment.p[:, None], len(t), axis=1)
+        values = [np.array(f(t[None, :], x.T, z.T, u, p)) for f in self._functions[:2]]
+        zero, rate = (np.reshape(v, (-1, len(t))).T for v in values)
+        rate = np.where(np.isfinite(rate), rate, 0.0)
+        return [Point(float(t[k]), x[k], z[k], zero[k], rate[k]) for k in range(len(t))]
+
+    def begin(self, t: float, x: np.ndarray, z: np.ndarray) -> Point:
+        """The first point, after what fires there at once.
+
+        Raises:
+            EventsDoNotEnd, Stopped, Inconsistent: see there.
+        """
+        point = self.look(t, x, z)
+        self.armed = self._at_once | self._above(point)
+        return self._cascade(point, [])
+
+    def pass_on(self, point: Point) -> None:
+        """Take note of functions that have come above zero."""
+        self.armed |= point.zero > 0
+
+    def crossing(self, a: Point, b: Point) -> bool:
+        """Whether an event fires between two points, as far as the ends show."""
+        return bool((self.armed & (b.zero < 0)).any())
+
+    def hidden(self, a: Point, b: Point) -> float | None:
+        """A time between at which a function may have crossed zero and come back, if any.
+
+        That of the extremum of a cubic which lies on the other side of both ends.
+        """
+        # A cubic stays within 4/27 of the rates' way of its smaller end.
+        reach = (b.t - a.t) * (np.abs(a.rate) + np.abs(b.rate)) * 4 / 27
+        near = np.minimum(np.abs(a.zero), np.abs(b.zero)) <= reach
+        for i in np.flatnonzero(near & ((a.zero < 0) == (b.zero < 0))):
+            if b.zero[i] > 0 and not self.armed[i]:
+                continue
+            s = _extremum(a, b, int(i))
+            if s is not None:
+                return a.t + s * (b.t - a.t)
+        return None
+
+    def locate(self, a: Point, b: Point, advance: Advance) -> Point | None:
+        """The first point at which an armed event has crossed, to an instant; None if lost.
+
+        [a, b] holds a crossing. The roots of cubics close in on it, halvings where they do not.
+        """
+        left, right, guess = a, b, _first_root(a, b, self.armed)
+        for k in range(_REFINED):
+            if not left.t < guess < right.t or k % 4 == 3:
+                guess = (left.t + right.t) / 2
+            if right.t - left.t <= self.instant or not left.t < guess < right.t:
+                return right
+            state = advance(a, guess)
+            if state is None:
+                return None
+            point = self.look(guess, *state)
+            if self.crossing(a, point):
+                right = point
+            else:
+                left = point
+            before, guess = guess, _first_root(left, right, self.armed)
+            if abs(guess - before) <= self.instant / 4:  # step over it, to have it on both sides
+                side = 1 if point is left else -1
+                guess = before + side * self.instant / 2
+        return right
+
+    def fire(self, point: Point) -> Point:
+        """What happens at a point that `locate` has found.
+
+        Raises:
+            EventsDoNotEnd, Stopped, Inconsistent: see there.
+        """
+        self._instants.append(point.t)
+        recent = self._instants[-CROWD:]
+        e = self.experiment
+        first = self.armed & (point.zero <= self._width(point))
+        point = self._cascade(point, list(np.flatnonzero(first & (point.zero < 0))))
+        if len(recent) == CROWD and recent[-1] - recent[0] <= CLOSE * (e.t[-1] - e.t[0]):
+            raise self._endless(point.t, f"the last {CROWD} within {recent[-1] - recent[0]:.3g} s")
+        return point
+
+    def _cascade(self, point: Point, due: list[int]) -> Point:
+        """Fire what is due, in order, until nothing is."""
+        for _ in range(_AT_ONCE):
+            due = due or list(np.flatnonzero(self._due(point)))
+            if not due:
+                return point
+            point, due = self._fired(point, int(min(due))), []
+        raise self._endless(point.t, f"{_AT_ONCE} of them at once")
+
+    def _endless(self, t: float, how: str) -> EventsDoNotEnd:
+        return EventsDoNotEnd(
+            t, f"{len(self.happened)} events up to t = {t:.9g} s, {how}, the last "
+            f"'{self.happened[-1].name}'",
+        )  # fmt: skip
+
+    def _fired(self, point: Point, i: int) -> Point:
+        t, x = point.t, point.x
+        u, p = self._inputs(t), self.experiment.p
+        jump = np.array(self._functions[2](t, x, point.z, u, p)[:, i]).reshape(-1)
+        self.happened.append(Happened(t, self.model.events[i]))
+        z, consistent = point.z, True
+        if self.model.n_z:
+            z, consistent = self.model.consistent(t, x + jump, z, u, p)
+        after = self.look(t, x + jump, z)
+        if not consistent:
+            raise Inconsistent(t)
+        above = self._above(after)
+        self.armed = self.armed | above
+        self.armed[i] = above[i]
+        if self.model.dae.events[i].stops:
+            raise Stopped(after, self.model.events[i])
+        return after
+
+    def _width(self, point: Point) -> np.ndarray:
+        """What counts as zero."""
+        return BAND * self.instant * np.abs(point.rate)
+
+    def _above(self, point: Point) -> np.ndarray:
+        """Events whose function is above zero, or on it and not about to fall."""
+        width = self._width(point)
+        return (point.zero > width) | ((point.zero >= -width) & (point.rate >= 0))
+
+    def _due(self, point: Point) -> np.ndarray:
+        """Armed events that fire now."""
+        width = self._width(point)
+        falls = (np.abs(point.zero) <= width) & (point.rate < 0)
+        return self.armed & (falls | (self._at_once & (point.zero < -width)))
+
+    def _inputs(self, t: float) -> np.ndarray:
+        return input_values(self.experiment.inputs, np.array([t]))[:, 0]
+
+
+def _coefficients(a: Point, b: Point, i: int) -> tuple[float, float, float, float]:
+    """The cubic through two values with two rates, over s = 0 ... 1."""
+    h = b.t - a.t
+    f0, f1, d0, d1 = a.zero[i], b.zero[i], h * a.rate[i], h * b.rate[i]
+    return f0, d0, 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
+
+
+def _extremum(a: Point, b: Point, i: int) -> float | None:
+    """Where the cubic has crossed zero and comes back, if it does."""
+    c = _coefficients(a, b, i)
+    slope = np.roots([3 * c[3], 2 * c[2], c[1]])
+    for s in sorted(float(root.real) for root in slope if abs(root.imag) < 1e-12):
+        if 0 < s < 1 and (c[0] + s * (c[1] + s * (c[2] + s * c[3])) < 0) != (a.zero[i] < 0):
+            return s
+    return None
+
+
+def _first_root(a: Point, b: Point, armed: np.ndarray) -> float:
+    """The earliest time at which the cubic of a crossing function falls below zero."""
+    first = 1.0
+    for i in np.flatnonzero(armed & (b.zero < 0)):
+        c = _coefficients(a, b, int(i))
+        roots = np.roots([c[3], c[2], c[1], c[0]]) if any(c[1:]) else np.array([])
+        inside = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and 0 <= r.real <= 1]
+        first = min([first, *inside])
+    return a.t + first * (b.t - a.t)

@@ -1,0 +1,80 @@
+"""Fracture: a connector that breaks at a limit and stays broken."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from .effect import Answer, Change, Effect, Own, Rule, Sight
+from .smooth import ramp
+
+_WIDTH = 1e-2  # of the limit, in which damage sets in
+
+
+@dataclass(frozen=True, eq=False)
+class Fracture(Effect):
+    """The whole wrench of the connector vanishes for good once a limit is reached.
+
+    Limits are those of the size of the force, of the torque, and of the energy stored, whichever
+    comes first; those not given do not count. What breaks is the spring-damper (or user force) with
+    the effects before this one.
+
+    The form with events has the states `broken` (0 or 1) and `lost`, the energy (J) stored then.
+
+    Arguments:
+        force, torque, energy: N, N m, J; at least one.
+        smoothing: 0 for the form with events. Else the time T (s) of damage that grows beyond the
+            limit, C2: D' = (1 - D) ramp(load / limit - 1) / T, and 1 - D of the wrench remains. It
+            breaks late by about T over the relative excess.
+    """
+
+    force: Any = None
+    torque: Any = None
+    energy: Any = None
+    smoothing: float = 0.0
+    name: str = ""
+    whole: ClassVar[bool] = True
+    rules: ClassVar[Mapping[str, Rule]] = {
+        "force": Rule("N", positive=True), "torque": Rule("N m", positive=True),
+        "energy": Rule("J", positive=True),
+    }  # fmt: skip
+
+    def _check(self, where: str) -> None:
+        if self.force is None and self.torque is None and self.energy is None:
+            raise ValueError(f"{where}: no limit; give a force, a torque or an energy")
+
+    @property
+    def own(self) -> tuple[Own, ...]:
+        """What is broken."""
+        if self.smoothing:
+            return (Own("damage"),)
+        return Own("broken", data=True), Own("lost", "J", data=True)
+
+    def answer(self, sight: Sight) -> Answer:
+        """What is left of the wrench."""
+        load = self._load(sight)
+        if self.smoothing:
+            rate = (1 - sight.own[0]) * ramp(load - 1, _WIDTH) / self.smoothing
+            return Answer(dissipated=rate * sight.energy, rates=rate, factor=1 - sight.own[0])
+        broken, lost = sight.own[0], sight.own[1]
+        breaks = Change(
+            "breaks", ca.if_else(broken, 1, 1 - load), ca.vertcat(1, lost + sight.energy),
+            at_once=True,
+        )  # fmt: skip
+        return Answer(rates=ca.SX.zeros(2), changes=(breaks,), factor=1 - broken)
+
+    def _load(self, sight: Sight) -> ca.SX:
+        """The load over its limit, squared for force and torque, the largest of them."""
+        f, m = sight.force[:3], sight.force[3:]
+        loads = []
+        if self.force is not None:
+            loads.append(ca.dot(f, f) / self.force**2)
+        if self.torque is not None:
+            loads.append(ca.dot(m, m) / self.torque**2)
+        if self.energy is not None:
+            loads.append(sight.energy / self.energy)
+        return reduce(ca.fmax, loads)
