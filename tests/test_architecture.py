@@ -24,6 +24,7 @@ FLOORS = (
     {"scene"},
     {"formulations"},
     {"minimal", "model"},
+    {"casadi_events"},
     {"exports", "integrators", "in_plane"},
     {"pipeline"},
     {"ocp", "study"},

@@ -19,7 +19,7 @@ from .files import MANIFEST, Artefact, sha256, write_folder
 from .header import Exported, banner, defaults_signature, header_text, signature
 from .loops import add_kernels, assembles, stub, with_loops
 
-_ALWAYS = ("ode", "alg", "out")
+_ALWAYS = ("ode", "alg", "out", "zero", "jump")
 _JACOBIANS = tuple(f"d{f}_d{v}" for f in ("ode", "alg") for v in "xzup")
 
 
@@ -49,19 +49,21 @@ def export_c(
     sizes = {f.name: {"rows": f.rows, "columns": f.columns, "numbers": f.numbers}
              for f in exported}  # fmt: skip
     kinds = ("x", "z", "u", "p", "out")
-    texts[MANIFEST] = manifest_text(model, texts, kinds, {"functions": sizes})
+    more = {"functions": sizes} | ({"events": list(model.events)} if model.events else {})
+    texts[MANIFEST] = manifest_text(model, texts, kinds, more)
     write_folder(target, texts)
     return Artefact(target, model.name, model.digest, tuple(f.name for f in exported))
 
 
 def _default(model: Model) -> list[str]:
-    return [name for name in (*_ALWAYS, *_JACOBIANS)
-            if name == "ode" or model.function(name).nnz_out(0)]  # fmt: skip
+    there = [name for name in (*_ALWAYS, *_JACOBIANS)
+             if name == "ode" or model.function(name).nnz_out(0)]  # fmt: skip
+    return [*there, *(["post_newton"] if model.dae.updates else [])]
 
 
 def _exported(model: Model, name: str) -> Exported:
     function = model.function(name)
-    sparse = function.size2_out(0) > 1 or name in _JACOBIANS or name.startswith("dout_d")
+    sparse = function.size2_out(0) > 1 or name in ("jump", *_JACOBIANS) or name.startswith("dout_d")
     symbol, letters = names.kernel(model.name, name), function.name_in()
     if assembles(model, name):
         return Exported(name, stub(model, name, symbol), sparse)

@@ -13,7 +13,12 @@ from ..parts import Label
 from . import names
 
 _SIGNATURE = "double t, const double *x, const double *z, const double *u, const double *p"
-_WORDS = {"ode": "Rates of the states", "alg": "Algebraic residuals", "out": "Outputs"}
+_WORDS = {
+    "ode": "Rates of the states", "alg": "Algebraic residuals", "out": "Outputs",
+    "zero": "Functions of the events, which fire as they fall through zero",
+    "jump": "Change of the states by each event, a column each",
+    "post_newton": "Largest error, smallest recommended step or -1, states with new data",
+}  # fmt: skip
 _GIVEN = {"l": "multipliers l (", "v": "direction v in [x; z; u; p] ("}
 
 
@@ -77,6 +82,10 @@ def header_text(model: Model, functions: list[Exported]) -> str:
         *enum_lines((names.constant(name, f"N_{kind.upper()}"), getattr(dae, kind).numel(), "")
                for kind in ("x", "z", "u", "p", "out")), "",
     ]  # fmt: skip
+    if model.events:
+        events = tuple(Label(event, "") for event in model.events)
+        lines += enum_lines([(names.constant(name, "N_EVENTS"), len(events), "")])
+        lines += index_lines(name, "event", "Events, in the order in which they happen.", events)
     for kind, title, labels in (
         ("x", "States: unit, start value.", dae.x_labels),
         ("z", "Algebraic unknowns: unit, start value.", dae.z_labels),
@@ -116,7 +125,8 @@ def index_lines(model: str, kind: str, title: str, labels: tuple[Label, ...]) ->
     """An enum of the indices of labels, with units and start values."""
     if not labels:
         return []
-    values = [f", {label.start!r}" if kind != "out" else "" for label in labels]
+    said = ("x", "z", "u", "p")
+    values = [f", {label.start!r}" if kind in said else "" for label in labels]
     rows = (
         (constant, i, f" /* {label.name} [{label.unit or '1'}]{values[i]} */")
         for i, (constant, label) in enumerate(names.indices(model, kind, labels))

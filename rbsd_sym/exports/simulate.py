@@ -21,14 +21,34 @@ from .simulator import SIMULATOR
 
 _OUTCOMES = (
     Outcome.reached_end, Outcome.solver_failed, Outcome.too_many_steps, Outcome.step_too_small,
-    Outcome.not_finite, Outcome.not_consistent,
+    Outcome.not_finite, Outcome.not_consistent, Outcome.solver_failed, Outcome.endless_events,
+    Outcome.event,
 )  # fmt: skip
+_ROOM = 10_000  # events told
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
 class _Stats(ctypes.Structure):
     _fields_ = (("t", ctypes.c_double), ("last_step", ctypes.c_double), ("steps", ctypes.c_long),
                 ("rejected", ctypes.c_long), ("evaluations", ctypes.c_long))  # fmt: skip
+
+
+class _EventStats(_Stats):
+    _fields_ = (  # type: ignore[assignment]
+        ("events", ctypes.c_long), ("room", ctypes.c_long), ("t_event", _DOUBLES),
+        ("which", ctypes.POINTER(ctypes.c_int)),
+    )  # fmt: skip
+
+    @classmethod
+    def with_room(cls, events: bool) -> _Stats:
+        """Statistics, with room for events if there are any."""
+        if not events:
+            return _Stats()
+        stats = cls()
+        stats.room = _ROOM
+        stats.t_event = (ctypes.c_double * _ROOM)()
+        stats.which = (ctypes.c_int * _ROOM)()
+        return stats
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +70,7 @@ class Simulator:
     atol: float
     moves: bool = False
     model: Model | None = field(default=None, repr=False, compare=False)
+    events: tuple[str, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "model": None}
@@ -89,7 +110,7 @@ class Simulator:
         times, u = self._samples(inputs or {})
         tolerances = (self.rtol if rtol is None else rtol, self.atol if atol is None else atol)
         n = len(self.labels["x"]) + len(self.labels["z"])
-        out, stats = np.full((points, n), np.nan), _Stats()
+        out, stats = np.full((points, n), np.nan), _EventStats.with_room(bool(self.events))
         code = self.function(
             t_start, t_end, _pointer(x), len(times), _pointer(times), _pointer(u), _pointer(p),
             *tolerances, points, _pointer(out), ctypes.byref(stats),
@@ -170,11 +191,16 @@ class Simulator:
         report = outcome.value if outcome.ok else f"{outcome.value} at t = {stats.t:.9g} s"
         numbers = {"steps": float(stats.steps), "rejected_steps": float(stats.rejected),
                    "evaluations": float(stats.evaluations)}  # fmt: skip
+        happened: list[tuple[float, str]] = []
+        if isinstance(stats, _EventStats):
+            numbers["events"] = float(stats.events)
+            happened = [(stats.t_event[k], self.events[stats.which[k]])
+                        for k in range(min(stats.events, _ROOM))]  # fmt: skip
         return Trajectory(
             self.name, t[:n], columns, outcome, report, numbers, parameters,
             tuple(name for name, _, _ in names), self.digest,
             self.model.measure if self.model else None,
-            self.model.left_out if self.model else (),
+            self.model.left_out if self.model else (), tuple(happened),
         )  # fmt: skip
 
 
@@ -183,7 +209,7 @@ def _loaded(path: str, name: str) -> Any:
     function, number, whole = getattr(ctypes.CDLL(path), name), ctypes.c_double, ctypes.c_int
     function.restype = whole
     function.argtypes = (number, number, _DOUBLES, whole, _DOUBLES, _DOUBLES, _DOUBLES, number,
-                         number, whole, _DOUBLES, ctypes.POINTER(_Stats))  # fmt: skip
+                         number, whole, _DOUBLES, ctypes.c_void_p)  # fmt: skip
     return function
 
 
@@ -230,4 +256,5 @@ def load_simulator(
     return Simulator(
         path, name, str(manifest["digest"]), labels, float(manifest["rtol"]),
         float(manifest["atol"]), bool(manifest.get("moves")), model,
+        tuple(manifest.get("events", ())),
     )  # fmt: skip

@@ -83,6 +83,7 @@ def export_simulator(
         "rtol": integrator.rtol, "atol": integrator.atol, "sensitivities": sensitivities,
         "moves": bool(ca.symvar(model.dae.x_start)),
     }  # fmt: skip
+    more |= {"events": list(model.events)} if model.events else {}
     texts[MANIFEST] = manifest_text(model, texts, ("x", "z", "u", "p", "idle_p"), more)
     target = Path(folder)
     write_folder(target, texts)
@@ -101,6 +102,13 @@ def _check(model: Model, integrator: Exportable, sensitivities: bool) -> None:
             f"model '{model.name}': {model.n_z} algebraic unknowns, and {kind} integrates ODEs "
             "only; give Rosenbrock()"
         )
+    if model.dae.updates or (model.events and not integrator.plugin):
+        what = "post_newton_step" if model.dae.updates else "events"
+        raise ValueError(
+            f"model '{model.name}': {what}, which {kind} does not have in C; "
+            + ("use GeneralizedAlpha().step_function(model)" if model.dae.updates
+               else "give Rosenbrock() or ExplicitRK()")
+        )  # fmt: skip
     if not model.n_x:
         raise ValueError(f"model '{model.name}': no states, so there is nothing to integrate")
     if sensitivities and integrator.plugin:

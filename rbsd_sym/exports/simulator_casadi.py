@@ -7,14 +7,18 @@ from typing import Any
 
 import casadi as ca
 
+from ..casadi_events import INSTANT, N_EXTRA, NEVER, RECORD, add_events, begin
+from ..casadi_events import options as event_options
 from ..model import Model
+from . import names
 from .simulator_texts import simulator_file, simulator_marks, template
 
 
 def casadi_text(model: Model, integrator: Any) -> str:
     """The source: CasADi's integrator over [0, 1]; times, inputs, tolerances are its parameters."""
-    n_q = model.n_p + 2 * model.n_u + 5
+    n_q = model.n_p + 2 * model.n_u + (6 if model.events else 5)
     symbol = ca.SX if not model.calls and model.function("ode").is_a("SXFunction") else ca.MX
+    symbol = ca.MX if model.events else symbol
     s, q = symbol.sym("s"), symbol.sym("q", n_q)
     x, z = symbol.sym("x", model.n_x), symbol.sym("z", model.n_z)
     p, first, last, more = ca.vertsplit(
@@ -24,17 +28,54 @@ def casadi_text(model: Model, integrator: Any) -> str:
     dae = {"t": s, "x": x, "z": z, "p": q, "ode": more[1] * model.function("ode")(*arguments),
            "alg": model.function("alg")(*arguments)}  # fmt: skip
     options = dict(integrator.casadi_options) | {"reltol": 1e-6, "abstol": 1e-8}
+    if model.events:
+        dae, transition = add_events(model, dae, arguments, more[5])
+        options |= event_options(transition, INSTANT)
     run = ca.integrator(f"{model.name}_sim_run", integrator.plugin, dae, 0.0, [1.0], options)
     generator = ca.CodeGenerator(f"{model.name}_sim_casadi")
     generator.add(run)
-    text = _at_run_time(str(generator.dump()), n_q - 3)
-    sizes = {f"SZ_{key.upper()}": _size(text, run.name(), key) for key in ("arg", "res", "iw", "w")}
-    marks = simulator_marks(model, integrator) | sizes | {"N_Q": n_q, "N_X": model.n_x}
+    if model.events:
+        generator.add(_renamed(begin(model), f"{model.name}_sim_begin"))
+    text = _at_run_time(str(generator.dump()), model.n_p + 2 * model.n_u + 2, bool(model.events))
+    marks = simulator_marks(model, integrator) | _sizes(text, run.name(), "SZ") | {"N_Q": n_q}
+    marks |= _event_marks(model, text)
     files = ("simulator_common", "simulator_casadi", "simulator_constant")
     return simulator_file(model, text, [template(f"{file}.c", marks) for file in files])
 
 
-def _at_run_time(text: str, place: int) -> str:
+def _event_marks(model: Model, text: str) -> dict[str, Any]:
+    """Marks of the templates that differ for a model with events."""
+    upper, extra = names.constant(model.name, "sim"), N_EXTRA if model.events else 0
+    marks: dict[str, Any] = {
+        "name": model.name, "NAME": upper, "N_X": model.n_x, "N_Z": model.n_z, "N_E": extra,
+        "FIRST_Z": model.n_x + extra, "N_I": model.n_x + extra + model.n_z,
+    }  # fmt: skip
+    idle = dict.fromkeys(("BEGIN", "WATCH", "TELL", "KEEP", "INSTANT", "DUE", "MANY"), "")
+    if not model.events:
+        return marks | idle
+    marks |= _sizes(text, f"{model.name}_sim_begin", "B")
+    marks |= {"RECORD": RECORD, "NEVER": NEVER, "INSTANT_OF_RUN": repr(INSTANT)}
+    return marks | {
+        "KEEP": "  own.room = stats->room, own.t_event = stats->t_event, own.which = stats->which;"
+        "\n",
+        "INSTANT": f"  more[5] = {INSTANT!r} * (run->t1 - run->t0);\n",
+        "MANY": f"    if (report[6]) return {upper}_ENDLESS_EVENTS;\n",
+        **{key: template(f"simulator_{key.lower()}.c", marks)
+           for key in ("BEGIN", "WATCH", "TELL", "DUE")},
+    }  # fmt: skip
+
+
+def _renamed(function: ca.Function, name: str) -> ca.Function:
+    symbols = function.mx_in()
+    return ca.Function(name, symbols, [ca.densify(r) for r in function(*symbols)])
+
+
+def _sizes(text: str, function: str, mark: str) -> dict[str, str]:
+    keys = ("arg", "res", "iw", "w")
+    return {f"{mark}_{key.upper()}": _size(text, function, key) for key in keys}
+
+
+def _at_run_time(text: str, place: int, events: bool) -> str:
     """Tolerances and steps from q[place - 1 ...], and a report to the idle result of quadratures.
 
     CasADi writes them as numbers, each on a line of its own.
@@ -45,6 +86,8 @@ def _at_run_time(text: str, place: int) -> str:
     report = (
         "d.t, (casadi_real)d.n_steps, (casadi_real)d.n_reject, (casadi_real)d.n_rhs, d.h_next, d.h"
     )
+    if events:
+        report += ", d.status == IVP_TOO_MANY_EVENTS"
     copies = " ".join(f"res[2][{i}] = {v};" for i, v in enumerate(report.split(", ")))
     for pattern, new in (
         (r"  p\.reltol = [^;]+;", f"  p.reltol = arg[2][{place}];"),

@@ -9,6 +9,7 @@ from typing import Any
 
 from .. import version
 from ..model import Model
+from ..parts import Label
 from . import names
 from .c import defaults_body
 from .header import banner, enum_lines, index_lines
@@ -68,12 +69,33 @@ def header_text(model: Model, integrator: Any, sensitivities: bool) -> str:
         "N": rows, "N_W": rows + model.n_u + model.n_p, "N_ROW": rows + 2,
         "RTOL": integrator.rtol, "ATOL": integrator.atol, "STACK": _about(stack),
         "ROWS": "states, then the algebraic unknowns," if model.n_z else "states",
-        "SENSITIVITIES": "",
+        "SENSITIVITIES": "", "EVENT_CODES": "", "EVENT_FIELDS": "",
     }  # fmt: skip
+    if model.events:
+        marks |= _of_events(model, upper)
     if sensitivities:
         marks["SENSITIVITIES"] = template("simulate_sensitivity.h", marks)
     title = f"{simulator_name(model)}.h: the scene integrated by {type(integrator).__name__}"
     return banner(model, title) + template("simulate.h", marks)
+
+
+def _of_events(model: Model, upper: str) -> dict[str, str]:
+    """What the header of a model with events has beside."""
+    events = tuple(Label(name, "") for name in model.events)
+    indices = index_lines(f"{model.name}_sim", "event", "Events.", events)
+    return {
+        "EVENT_CODES": (
+            f",\n  {upper}_ENDLESS_EVENTS = 7, /* ever faster, at stats->t */"
+            f"\n  {upper}_STOPPED = 8 /* by an event, at stats->t */\n}};\n\n"
+            + "\n".join(indices).strip().removesuffix("};").rstrip()
+        ),
+        "EVENT_FIELDS": (
+            "  long events; /* how many have happened */\n"
+            "  long room; /* given: how many to tell; at most 64 between two points are */\n"
+            "  double *t_event; /* given, or NULL: their times, s */\n"
+            "  int *which; /* given, or NULL: their indices */\n"
+        ),
+    }
 
 
 def _about(count: int) -> int:

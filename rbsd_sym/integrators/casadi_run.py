@@ -11,9 +11,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from .. import casadi_events
+from ..casadi_events import CLOSE, CROWD, Recorded, add_events, extra_start, recorded
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
-from .casadi_events import Recorded, add_events, extra_start, recorded
 from .driver import (
     Run,
     Verdict,
@@ -25,12 +26,9 @@ from .driver import (
     not_consistent,
     settle,
 )
-from .events import CLOSE, CROWD, Watch
+from .events import Watch
 from .signals import is_constant, raise_of_user
 from .windows import End, guarded
-
-_MOST = 10_000  # events in a run
-_SEARCH = 500  # looks for one event
 
 
 def run_with_events(
@@ -99,8 +97,7 @@ def _integrator(
         dae = {"t": t, "x": x, "z": z, "p": p, "ode": ode, "alg": alg}
     dae.pop("u", None)
     dae, transition = add_events(model, dae, (t, x, z, u, p[: model.n_p]), instant)
-    chosen = {"transition": transition, "event_tol": instant, "max_event_iter": _SEARCH,
-              "max_events": _MOST, **options}  # fmt: skip
+    chosen = {**casadi_events.options(transition, instant), **options}
     grid = [float(time) for time in e.t]
     function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], chosen)
     if fixed:

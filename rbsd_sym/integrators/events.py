@@ -23,14 +23,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..casadi_events import BAND, CLOSE, CROWD, INSTANT, Happened
 from ..model import Model
 from ..trajectory import Experiment
 from .driver import input_values
 
-INSTANT = 1e-15  # of the run: times closer than this are one
-BAND = 10.0  # instants: a function this close to zero is zero
-CROWD = 10  # instants that follow each other
-CLOSE = 1e-10  # of the run: closer than this they never end
 _AT_ONCE = 1000
 _REFINED = 100  # looks in search of one crossing
 
@@ -43,13 +40,6 @@ class Point(NamedTuple):
     z: np.ndarray
     zero: np.ndarray
     rate: np.ndarray
-
-
-class Happened(NamedTuple):
-    """An event that has fired."""
-
-    t: float
-    name: str
 
 
 class EventsDoNotEnd(Exception):

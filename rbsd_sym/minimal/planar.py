@@ -45,6 +45,7 @@ def planar(dae: Dae) -> Dae:
         rows.append(w)
         full_labels.append(labels[w])
         gone.add(v)
+    way = Expansion(ca.vertcat(*states), tuple(full_labels), tuple(rows), (None,) * len(rows))
     changed = replace(
         dae,
         x=ca.vertcat(*x),
@@ -53,9 +54,7 @@ def planar(dae: Dae) -> Dae:
         parts=tuple(parts),
         balances=balances,
         motions=motions,
-        expansion=Expansion(
-            ca.vertcat(*states), tuple(full_labels), tuple(rows), (None,) * len(rows)
-        ),
+        expansion=way,
     )
     return _without(changed, gone) if gone else dae
 

@@ -2,8 +2,8 @@
 
 CasADi fires one event where its function falls through zero, from + to - only. The transition does
 the rest: it solves the algebraic unknowns again, and fires what else is due at that instant (see
-`events` for the rules; here each event fires at most once at one instant). Since CasADi tells
-nothing about events, extra states without rate keep a record of them.
+`integrators.events` for the rules; here each event fires at most once at one instant). Since CasADi
+tells nothing about events, extra states without rate keep a record of them.
 """
 
 from __future__ import annotations
@@ -14,19 +14,31 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..model import Model
-from .events import BAND, CLOSE, CROWD, INSTANT, Happened
+from .model import Model
+
+# What all methods agree on (see `integrators.events`).
+INSTANT = 1e-15  # of the run: times closer than this are one
+BAND = 10.0  # instants: a function this close to zero is zero
+CROWD = 10  # instants that follow each other
+CLOSE = 1e-10  # of the run: closer than this they never end
 
 RECORD = 64  # events remembered, the last ones
 _NEWTON = 4  # steps for the unknowns after an event
 _PASSES = 2  # over all events, for those that others set off
-_NEVER = 1e300
+NEVER = 1e300
 
 
 # The extra states: count of events, first time at which one stops the run, first time at which they
 # follow each other without end, then times and indices of the last ones.
 N_EXTRA = 3 + 2 * RECORD
 _TIMES, _WHICH = slice(3, 3 + RECORD), slice(3 + RECORD, N_EXTRA)
+
+
+class Happened(NamedTuple):
+    """An event that has fired."""
+
+    t: float
+    name: str
 
 
 class Recorded(NamedTuple):
@@ -40,7 +52,7 @@ class Recorded(NamedTuple):
 
 def extra_start() -> np.ndarray:
     """Start values of the extra states."""
-    return np.array([0.0, _NEVER, _NEVER] + [0.0] * (2 * RECORD))
+    return np.array([0.0, NEVER, NEVER] + [0.0] * (2 * RECORD))
 
 
 def recorded(model: Model, extra: np.ndarray, before: Sequence[Happened]) -> Recorded:
@@ -72,45 +84,70 @@ def add_events(
         "transition", [index, t, w, z, p, ca.MX(0, 1)], [ca.vertcat(new[0], new[2]), new[1]],
         ["index", "t", "x", "z", "p", "u"], ["post_x", "post_z"],
     )  # fmt: skip
-    zero = model.function("zero")(*given(t, x, z, p))
+    over = ca.fmin(extra[1], extra[2]) < NEVER  # then events are off: what follows is no matter
+    zero = ca.if_else(over, 1, model.function("zero")(*given(t, x, z, p)))
     ode = ca.vertcat(dae["ode"], ca.MX.zeros(N_EXTRA))
     return {**dae, "x": w, "ode": ode, "zero": zero}, transition
 
 
 def _cascade(model: Model) -> ca.Function:
-    """(index, t, x, z, u, p, extra, instant) -> x, z, extra after all that is due."""
-    n = len(model.events)
-    index, instant = ca.MX.sym("index"), ca.MX.sym("instant")
-    t, u, p = ca.MX.sym("t"), ca.MX.sym("u", model.n_u), ca.MX.sym("p", model.n_p)
-    x0, z0 = ca.MX.sym("x", model.n_x), ca.MX.sym("z", model.n_z)
-    extra0 = ca.MX.sym("extra", N_EXTRA)
+    """(index, t, x, z, u, p, extra, instant) -> x, z, extra after an event and all that is due."""
+    symbols, index = _symbols(model), ca.MX.sym("index")
+    state = _fire(model)(index, *symbols)
+    fired = [index == j for j in range(len(model.events))]
+    state = _passes(model, symbols, state, fired, _PASSES if len(fired) > 1 else 0)
+    return ca.Function("cascade", [index, *symbols], state)
+
+
+def begin(model: Model) -> ca.Function:
+    """(t, x, z, u, p, extra, instant) -> x, consistent z, extra after what fires at the start."""
+    symbols = _symbols(model)
+    t, x, z, u, p, extra, _ = symbols
+    state = [x, _settled(model, t, x, z, u, p), extra]
+    state = _passes(model, symbols, state, [ca.MX(0)] * len(model.events), _PASSES)
+    return ca.Function("begin", symbols, state)
+
+
+def _symbols(model: Model) -> list[ca.MX]:
+    sizes = {"t": 1, "x": model.n_x, "z": model.n_z, "u": model.n_u, "p": model.n_p,
+             "extra": N_EXTRA, "instant": 1}  # fmt: skip
+    return [ca.MX.sym(name, n) for name, n in sizes.items()]
+
+
+def _passes(
+    model: Model, symbols: list[ca.MX], state: Sequence[ca.MX], fired: list[Any], count: int
+) -> list[ca.MX]:
+    """The state (x, z, extra) after all events in order, each if it is due and has not fired."""
+    t, u, p, instant = symbols[0], symbols[3], symbols[4], symbols[-1]
     fire, due = _fire(model), _due(model)
-    x, z, extra = fire(index, t, x0, z0, u, p, extra0, instant)
-    fired = [index == j for j in range(n)]
-    for _ in range(_PASSES if n > 1 else 0):
-        for j in range(n):
+    x, z, extra = state
+    for _ in range(count):
+        for j in range(len(fired)):
             now = ca.logic_and(due(t, x, z, u, p, instant)[j], ca.logic_not(fired[j]))
             after = fire(j, t, x, z, u, p, extra, instant)
             x, z, extra = (
                 ca.if_else(now, new, old) for new, old in zip(after, (x, z, extra), strict=True)
             )
             fired[j] = ca.logic_or(fired[j], now)
-    return ca.Function("cascade", [index, t, x0, z0, u, p, extra0, instant], [x, z, extra])
+    return [x, z, extra]
+
+
+def _settled(model: Model, t: Any, x: Any, z: Any, u: Any, p: Any) -> ca.MX:
+    """The unknowns that solve alg = 0, by Newton's method."""
+    for _ in range(_NEWTON if model.n_z else 0):
+        residual = ca.densify(model.function("alg")(t, x, z, u, p))
+        z = z - ca.solve(model.function("dalg_dz")(t, x, z, u, p), residual)
+    return z
 
 
 def _fire(model: Model) -> ca.Function:
     """(index, t, x, z, u, p, extra, instant) -> x, consistent z and record after one event."""
-    index, t, instant = ca.MX.sym("index"), ca.MX.sym("t"), ca.MX.sym("instant")
-    x, z = ca.MX.sym("x", model.n_x), ca.MX.sym("z", model.n_z)
-    u, p = ca.MX.sym("u", model.n_u), ca.MX.sym("p", model.n_p)
-    extra = ca.MX.sym("extra", N_EXTRA)
+    symbols = _symbols(model)
+    t, x, z, u, p, extra, instant = symbols
+    index = ca.MX.sym("index")
     chosen = ca.vertcat(*(index == j for j in range(len(model.events))))
     after = x + ca.densify(model.function("jump")(t, x, z, u, p) @ chosen)
-    unknown = z
-    for _ in range(_NEWTON if model.n_z else 0):
-        residual = model.function("alg")(t, after, unknown, u, p)
-        jacobian = model.function("dalg_dz")(t, after, unknown, u, p)
-        unknown = unknown - ca.solve(jacobian, ca.densify(residual))
+    unknown = _settled(model, t, after, z, u, p)
     stops = ca.DM([float(event.stops) for event in model.dae.events])
     slots, count = ca.DM(range(RECORD)), extra[0]
     slot, earlier = slots == ca.fmod(count, RECORD), slots == ca.fmod(count + 1 - CROWD, RECORD)
@@ -123,18 +160,22 @@ def _fire(model: Model) -> ca.Function:
         ca.if_else(slot, t, extra[_TIMES]),
         ca.if_else(slot, index, extra[_WHICH]),
     )
-    record = ca.if_else(extra[2] < _NEVER, extra, record)  # what comes after the end is no matter
-    return ca.Function("fire", [index, t, x, z, u, p, extra, instant], [after, unknown, record])
+    return ca.Function("fire", [index, *symbols], [after, unknown, record])
 
 
 def _due(model: Model) -> ca.Function:
     """(t, x, z, u, p, instant) -> which events fire now."""
-    t, x, z = ca.MX.sym("t"), ca.MX.sym("x", model.n_x), ca.MX.sym("z", model.n_z)
-    u, p = ca.MX.sym("u", model.n_u), ca.MX.sym("p", model.n_p)
-    instant = ca.MX.sym("instant")
+    t, x, z, u, p, _, instant = _symbols(model)
     zero, rate = (model.function(f)(t, x, z, u, p) for f in ("zero", "zero_rate"))
     width = BAND * instant * ca.fabs(rate)
     falls = ca.logic_and(ca.fabs(zero) <= width, rate < 0)
     at_once = ca.DM([float(event.at_once) for event in model.dae.events])
     beyond = ca.logic_and(zero < -width, at_once > 0)
     return ca.Function("due", [t, x, z, u, p, instant], [ca.logic_or(falls, beyond)])
+
+
+# What CasADi's plugins are told: times closer than `event_tol` are one.
+def options(transition: ca.Function, tolerance: float) -> dict[str, Any]:
+    """Options of CasADi's integrators for events."""
+    return {"transition": transition, "event_tol": tolerance, "max_event_iter": 500,
+            "max_events": 10_000}  # fmt: skip
