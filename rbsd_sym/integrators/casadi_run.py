@@ -15,6 +15,7 @@ from .. import casadi_events
 from ..casadi_events import CLOSE, CROWD, Recorded, add_events, extra_start, recorded
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
+from .checks import refuse_updates
 from .driver import (
     Run,
     Verdict,
@@ -26,9 +27,8 @@ from .driver import (
     not_consistent,
     settle,
 )
-from .events import Watch
+from .events import End, Watch, guarded
 from .signals import is_constant, raise_of_user
-from .windows import End, guarded
 
 
 def run_with_events(
@@ -40,11 +40,7 @@ def run_with_events(
     Raises:
         ValueError: the model has post-Newton steps.
     """
-    if model.dae.updates:
-        raise ValueError(
-            f"model '{model.name}': post_newton_step acts after accepted steps, which "
-            f"CasADi's {plugin} does not show; use GeneralizedAlpha() or Idas()"
-        )
+    refuse_updates(model, plugin)
     if model.n_z:
         z, consistent = consistent_start(model, experiment)
         if not consistent:

@@ -43,6 +43,19 @@ def refuse_unknowns(model: Model) -> None:
         )
 
 
+def refuse_updates(model: Model, method: str) -> None:
+    """Methods whose accepted steps are not shown have no post-Newton step.
+
+    Raises:
+        ValueError: the model has one.
+    """
+    if model.dae.updates:
+        raise ValueError(
+            f"model '{model.name}': post_newton_step, which {method} does not have; use "
+            "GeneralizedAlpha() or Idas()"
+        )
+
+
 def runge_kutta_options(integrator: Any) -> dict[str, Any]:
     """CasADi's options for its own one-step methods, without the tolerances."""
     options: dict[str, Any] = {"max_num_steps": integrator.max_steps}

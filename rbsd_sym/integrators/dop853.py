@@ -12,10 +12,13 @@ import numpy as np
 from ..model import Model
 from ..tableau import E3, E5, A, C, D
 from ..trajectory import Experiment, Outcome, Trajectory
-from .checks import check_options, refuse_unknowns
+from .checks import check_options, refuse_unknowns, refuse_updates
 from .driver import assemble, failure_report, input_values
+from .events import End, Point, Watch, guarded
 from .signals import is_constant
 
+_NONE = np.zeros(0)  # no algebraic unknowns
+_LOOKS = 4  # for events, in a step
 _EPSILON = float(np.finfo(float).eps)
 _ADVICE = {
     Outcome.too_many_steps: "raise max_steps, loosen the tolerances, or for stiff connectors use "
@@ -59,23 +62,27 @@ class Dop853:
             ValueError: the model has algebraic unknowns.
         """
         refuse_unknowns(model)
+        refuse_updates(model, type(self).__name__)
         started = time.perf_counter()
-        rates, run = _Rates(model, experiment), _Run(experiment)
+        rates, run = _Rates(model, experiment), _Run(experiment, Watch(model, experiment))
         with np.errstate(over="ignore", invalid="ignore"):
-            outcome = self._integrate(rates, run) if model.n_x else Outcome.reached_end
+            end = guarded(lambda: self._integrate(rates, run) if model.n_x else Outcome.reached_end)
+        outcome = (end.outcome or Outcome.solver_failed) if isinstance(end, End) else end
         stats = {
             "steps": float(run.steps), "evaluations": float(rates.count),
             "rejected_steps": float(run.rejected), "time": time.perf_counter() - started,
         }  # fmt: skip
-        n, report = len(experiment.t) if outcome.ok else run.saved, outcome.value
+        n, report = run.saved if model.n_x else len(experiment.t), outcome.value
         x, z = run.x[:n], np.zeros((n, 0))
-        if not outcome.ok:
+        if isinstance(end, End):
+            stats["t_failed"], report = end.t, end.report
+        elif not outcome.ok:
             stats["t_failed"] = run.t
             report = failure_report(model, experiment, x, z, outcome, run.t, _ADVICE[outcome])
-        return assemble(model, experiment, x, z, outcome, report, stats)
+        return assemble(model, experiment, x, z, outcome, report, stats, run.watch.happened)
 
     def _integrate(self, rates: _Rates, run: _Run) -> Outcome:
-        k, x, end = run.k, run.x[0].copy(), run.end
+        k, x, end = run.k, run.begin(), run.end
         shortest = 16 * _EPSILON * max(abs(run.t), abs(end))
         k[0] = rates(run.t, x)
         if not np.isfinite(k[0]).all():
@@ -96,9 +103,12 @@ class Dop853:
                 h *= max(0.333, 0.9 * e**-0.125) if np.isfinite(e) else 0.1
                 run.rejected, rejected = run.rejected + 1, True
                 continue
-            run.save(rates, h, x, y)
-            run.t = end if last else run.t + h
             run.steps += 1
+            after = run.advance(rates, h, x, y, end if last else run.t + h)
+            if after is not None:  # an event: start again behind it
+                x, k[0] = after, rates(run.t, after)
+                h, before, rejected = self._first_step(rates, run, x), 1e-4, False
+                continue
             factor = 0.9 * e**-0.1 * before**0.05 if e > 0 else 6.0
             before = max(e, 1e-4)
             h *= min(1.0 if rejected else 6.0, max(0.333, factor))
@@ -162,32 +172,83 @@ class _Rates:
 
 
 class _Run:
-    """Where the integration is, and the points saved so far."""
+    """Where the integration is, the points saved so far, and the events on the way."""
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, watch: Watch) -> None:
         self.times, self.end = experiment.t, float(experiment.t[-1])
-        self.t, self.saved, self.steps, self.rejected = float(experiment.t[0]), 1, 0, 0
+        self.t, self.saved, self.steps, self.rejected = float(experiment.t[0]), 0, 0, 0
         self.x = np.zeros((len(experiment.t), experiment.x.size))
-        self.x[0] = experiment.x
         self.k = np.zeros((16, experiment.x.size))
+        self.watch, self._start = watch, experiment.x
+        self._watched = bool(watch.model.events)
 
-    def save(self, rates: _Rates, h: float, x: np.ndarray, y: np.ndarray) -> None:
-        """The points within the step from t, by the interpolant of order 7."""
-        n = int(np.searchsorted(self.times, self.t + h, side="right"))
-        if self.t + 1.01 * h >= self.end:
-            n = len(self.times)
-        inside = range(self.saved, n)
-        if not inside:
-            return
-        k = self.k
-        if self.times[self.saved] < self.t + h:
-            for s in (13, 14, 15):
-                k[s] = rates(self.t + C[s] * h, x + h * (A[s, :s] @ k[:s]))
-        way = y - x
-        f = [way, h * k[0] - way, 2 * way - h * (k[0] + k[12]), *(h * (D @ k))]
-        for i in inside:
-            theta, value = (self.times[i] - self.t) / h, np.zeros_like(x)
-            for j, part in enumerate(reversed(f)):
-                value = (value + part) * (theta if j % 2 == 0 else 1 - theta)
-            self.x[i] = y if self.times[i] >= self.t + h else x + value
-        self.saved = n
+    def begin(self) -> np.ndarray:
+        """The start, after what happens there."""
+        x = self._start
+        self.x[0], self.saved = x, 1
+        if self._watched:
+            self._point = self.watch.begin(self.t, x, _NONE)
+            x = self._point.x
+        self.x[0] = x
+        return x.copy()
+
+    def advance(
+        self, rates: _Rates, h: float, x: np.ndarray, y: np.ndarray, t: float
+    ) -> np.ndarray | None:
+        """Save the points within the step that ends at t; the state after an event, if one is."""
+        within = _Interpolant(rates, self.k, self.t, h, x, y)
+        if self._watched:
+            found = self._first_event(within, t)
+            if found is not None:
+                self._save(within, found.t)
+                self._point = self.watch.fire(found)
+                self.t = found.t
+                if self.saved and abs(self.times[self.saved - 1] - found.t) <= self.watch.instant:
+                    self.x[self.saved - 1] = self._point.x
+                return self._point.x.copy()
+        self._save(within, t)
+        self.t = t
+        return None
+
+    def _first_event(self, within: _Interpolant, t: float) -> Point | None:
+        start = self.t
+        for k in range(1, _LOOKS + 1):
+            time = t if k == _LOOKS else start + (t - start) * k / _LOOKS
+            point = self.watch.look(time, within(time), _NONE)
+            found = self.watch.search(self._point, point, lambda _, at: (within(at), _NONE))
+            self._point = point
+            if found is not None:
+                return found
+        return None
+
+    def _save(self, within: _Interpolant, t: float) -> None:
+        n = int(np.searchsorted(self.times, t, side="right"))
+        for i in range(self.saved, n):
+            self.x[i] = within(float(self.times[i]))
+        self.saved = max(n, self.saved)
+
+
+class _Interpolant:
+    """The solution within a step, of order 7; it takes three more rates between its ends."""
+
+    def __init__(
+        self, rates: _Rates, k: np.ndarray, t: float, h: float, x: np.ndarray, y: np.ndarray
+    ) -> None:
+        self._rates, self._k, self._t, self._h, self._x, self._y = rates, k, t, h, x, y
+        self._parts: list[np.ndarray] = []
+
+    def __call__(self, t: float) -> np.ndarray:
+        if t >= self._t + self._h:
+            return self._y
+        theta, value = (t - self._t) / self._h, np.zeros_like(self._x)
+        self._parts = self._parts or self._prepared()
+        for j, part in enumerate(reversed(self._parts)):
+            value = (value + part) * (theta if j % 2 == 0 else 1 - theta)
+        return self._x + value
+
+    def _prepared(self) -> list[np.ndarray]:
+        k, h, x = self._k, self._h, self._x
+        for s in (13, 14, 15):
+            k[s] = self._rates(self._t + C[s] * h, x + h * (A[s, :s] @ k[:s]))
+        way = self._y - x
+        return [way, h * k[0] - way, 2 * way - h * (k[0] + k[12]), *(h * (D @ k))]

@@ -19,16 +19,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..casadi_events import BAND, CLOSE, CROWD, INSTANT, Happened
 from ..model import Model
-from ..trajectory import Experiment
+from ..trajectory import Experiment, Outcome
 from .driver import input_values
 
 _AT_ONCE = 1000
+_DEPTH = 6  # halvings in search of a crossing that the ends do not show
 _REFINED = 100  # looks in search of one crossing
 
 
@@ -62,6 +63,32 @@ class Inconsistent(Exception):
 
     def __init__(self, t: float) -> None:
         self.t = t
+
+
+class End(NamedTuple):
+    """How a walk ended: no outcome but a failed run if IDAS failed; the last point, if known."""
+
+    outcome: Outcome | None
+    t: float
+    report: str = ""
+    failed: Any = None
+    point: Point | None = None
+
+
+def guarded(go: Callable[[], Any]) -> Any:
+    """What `go` returns, or the `End` that an event makes of it."""
+    try:
+        return go()
+    except EventsDoNotEnd as endless:
+        outcome = Outcome.endless_events
+        return End(outcome, endless.t, f"{outcome.value}: {endless.report}")
+    except Stopped as stopped:
+        t, outcome = stopped.point.t, Outcome.event
+        report = f"{outcome.value} '{stopped.name}' at t = {t:.9g} s"
+        return End(outcome, t, report, point=stopped.point)
+    except Inconsistent as lost:
+        outcome = Outcome.not_consistent
+        return End(outcome, lost.t, f"{outcome.value} after an event at t = {lost.t:.9g} s")
 
 
 Advance = Callable[[Point, float], tuple[np.ndarray, np.ndarray] | None]
@@ -120,8 +147,21 @@ class Watch:
         """Take note of functions that have come above zero."""
         self.armed |= point.zero > 0
 
-    def crossing(self, a: Point, b: Point) -> bool:
-        """Whether an event fires between two points, as far as the ends show."""
+    def search(self, a: Point, b: Point, advance: Advance, depth: int = _DEPTH) -> Point | None:
+        """The point of the first event between two points, if there is one."""
+        if self.crossing(b):
+            return self.locate(a, b, advance)
+        between = self.hidden(a, b) if depth else None
+        state = advance(a, between) if between is not None else None
+        if between is None or state is None:
+            self.pass_on(b)
+            return None
+        middle = self.look(between, *state)
+        found = self.search(a, middle, advance, depth - 1)
+        return found if found is not None else self.search(middle, b, advance, depth - 1)
+
+    def crossing(self, b: Point) -> bool:
+        """Whether an event has fired before a point, as far as it shows."""
         return bool((self.armed & (b.zero < 0)).any())
 
     def hidden(self, a: Point, b: Point) -> float | None:
@@ -155,7 +195,7 @@ class Watch:
             if state is None:
                 return None
             point = self.look(guess, *state)
-            if self.crossing(a, point):
+            if self.crossing(point):
                 right = point
             else:
                 left = point

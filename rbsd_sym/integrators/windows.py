@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,44 +30,17 @@ from .driver import (
     not_consistent,
     settle,
 )
-from .events import EventsDoNotEnd, Inconsistent, Point, Stopped, Watch
+from .events import End, Point, Watch, guarded
 from .post_newton import Advice, PostNewton, advice
 from .signals import is_constant, raise_of_user
 
 LOOKS = 8  # in an output interval
 _LONGEST = 64  # output intervals in one stretch
 _UNIFORM = 1e-9  # relative differences of output intervals that count as equal
-_DEPTH = 6  # halvings in search of a crossing that the ends do not show
 _TIGHTER = 1e-2  # tolerances for the way to an event, relative to those of the run
 
 Options = Callable[[Point, float], Mapping[str, Any]]
 """(start, length in s) -> CasADi's options for a stretch in scaled time."""
-
-
-class End(NamedTuple):
-    """How a walk ended: no outcome but a failed run if IDAS failed; the last point, if known."""
-
-    outcome: Outcome | None
-    t: float
-    report: str = ""
-    failed: Run | None = None
-    point: Point | None = None
-
-
-def guarded(go: Callable[[], Any]) -> Any:
-    """What `go` returns, or the `End` that an event makes of it."""
-    try:
-        return go()
-    except EventsDoNotEnd as endless:
-        outcome = Outcome.endless_events
-        return End(outcome, endless.t, f"{outcome.value}: {endless.report}")
-    except Stopped as stopped:
-        t, outcome = stopped.point.t, Outcome.event
-        report = f"{outcome.value} '{stopped.name}' at t = {t:.9g} s"
-        return End(outcome, t, report, point=stopped.point)
-    except Inconsistent as lost:
-        outcome = Outcome.not_consistent
-        return End(outcome, lost.t, f"{outcome.value} after an event at t = {lost.t:.9g} s")
 
 
 @dataclass(eq=False)
@@ -175,7 +148,7 @@ class Walk:
     def _along(self, points: list[Point]) -> Point | None:
         """The point after the first event, or change of data, on the way; None if there is none."""
         for a, b in pairwise(points):
-            found = self._search(a, b, _DEPTH)
+            found = self.watch.search(a, b, self._advance)
             if found is not None:
                 found = self.watch.fire(found)
             elif self.model.dae.updates:
@@ -209,19 +182,6 @@ class Walk:
         z, found = self.model.consistent(t, state[0], state[1], u, self.experiment.p)
         return (state[0], z) if found else None
 
-    def _search(self, a: Point, b: Point, depth: int) -> Point | None:
-        """The first event between two points."""
-        if self.watch.crossing(a, b):
-            return self.watch.locate(a, b, self._advance)
-        between = self.watch.hidden(a, b) if depth else None
-        state = self._advance(a, between) if between is not None else None
-        if between is None or state is None:
-            self.watch.pass_on(b)
-            return None
-        middle = self.watch.look(between, *state)
-        found = self._search(a, middle, depth - 1)
-        return found if found is not None else self._search(middle, b, depth - 1)
-
     def _resolve(self, a: Point, b: Point) -> Point | None:
         """The point at which data change (see `post_newton`), if they do on the way to b."""
         last, target = a, b
@@ -236,12 +196,11 @@ class Walk:
                     return None
                 last, target = target, b
                 continue
-            step = (target.t - last.t) / 2
-            step = min(step, max(said.step, self.watch.instant)) if said.step >= 0 else step
-            state = self._advance(a, last.t + step)
+            middle = (last.t + target.t) / 2
+            state = self._advance(a, middle)
             if state is None:
                 return None
-            target = self.watch.look(last.t + step, *state)
+            target = self.watch.look(middle, *state)
 
     def _advice(self, point: Point) -> Advice:
         u = input_values(self.experiment.inputs, np.array([point.t]))[:, 0]
