@@ -8,7 +8,9 @@ tells nothing about events, extra states without rate keep a record of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import io
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -23,6 +25,8 @@ CROWD = 10  # instants that follow each other
 CLOSE = 1e-10  # of the run: closer than this they never end
 
 RECORD = 64  # events remembered, the last ones
+_SEARCH = 500  # looks for one event
+_MOST = 10_000  # events in a run
 _NEWTON = 4  # steps for the unknowns after an event
 _PASSES = 2  # over all events, for those that others set off
 NEVER = 1e300
@@ -174,8 +178,16 @@ def _due(model: Model) -> ca.Function:
     return ca.Function("due", [t, x, z, u, p, instant], [ca.logic_or(falls, beyond)])
 
 
-# What CasADi's plugins are told: times closer than `event_tol` are one.
-def options(transition: ca.Function, tolerance: float) -> dict[str, Any]:
-    """Options of CasADi's integrators for events."""
-    return {"transition": transition, "event_tol": tolerance, "max_event_iter": 500,
-            "max_events": 10_000}  # fmt: skip
+def integrator(
+    name: str, plugin: str, dae: Mapping[str, Any], grid: Sequence[float], transition: ca.Function,
+    tolerance: float, options: Mapping[str, Any],
+) -> ca.Function:  # fmt: skip
+    """CasADi's integrator with events, from the first time of the grid to the others.
+
+    Arguments:
+        tolerance: times closer than this are one.
+    """
+    own = {"transition": transition, "event_tol": tolerance, "max_event_iter": _SEARCH,
+           "max_events": _MOST}  # fmt: skip
+    with contextlib.redirect_stderr(io.StringIO()):  # "Event support is experimental"
+        return ca.integrator(name, plugin, dict(dae), grid[0], list(grid[1:]), own | dict(options))

@@ -157,7 +157,8 @@ class RigidBodySpringDamper:
             recommended step, data...]; see `integrators.post_newton` for what is made of it.
         events: user function with the same arguments -> list of `Event`.
         effects: laws along one axis, or on the whole, added to the wrench: `Contact`, `Friction`,
-            `Plastic`, `Fracture`, ... Their states are named `<name>.<effect>_<state>`.
+            `Plastic`, `Fracture`, ... Their states are `<name>.<effect>_<state>`, their forces the
+            outputs `<name>.<effect>`, such as `floor.contact_z`.
         active: False gives no force and costs nothing.
         show, draw_size, color: drawing only; draw_size is the spring's diameter, m.
     """

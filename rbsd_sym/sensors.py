@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -132,6 +133,12 @@ CONNECTOR_TANGENTS = (
 )
 """Minus the derivatives of the wrenches on both markers, world axes (see `ConnectorView`), row by
 row: a spring that resists is positive. Turns are small rotations about world axes."""
+
+
+@cache
+def effect_force(index: int, name: str, unit: str) -> Quantity:
+    """Force along its axis of the effect of a connector with that index."""
+    return Quantity(name, unit, lambda view: view.response.answers[index].force)
 
 
 # A scene quantity is measured from (body views, gravity, sum of the connectors' stored energy).

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 
 from ..casadi_events import INSTANT, N_EXTRA, NEVER, RECORD, add_events, begin
-from ..casadi_events import options as event_options
+from ..casadi_events import integrator as with_events
 from ..model import Model
 from . import names
 from .simulator_texts import simulator_file, simulator_marks, template
@@ -28,10 +28,12 @@ def casadi_text(model: Model, integrator: Any) -> str:
     dae = {"t": s, "x": x, "z": z, "p": q, "ode": more[1] * model.function("ode")(*arguments),
            "alg": model.function("alg")(*arguments)}  # fmt: skip
     options = dict(integrator.casadi_options) | {"reltol": 1e-6, "abstol": 1e-8}
+    name = f"{model.name}_sim_run"
     if model.events:
         dae, transition = add_events(model, dae, arguments, more[5])
-        options |= event_options(transition, INSTANT)
-    run = ca.integrator(f"{model.name}_sim_run", integrator.plugin, dae, 0.0, [1.0], options)
+        run = with_events(name, integrator.plugin, dae, (0.0, 1.0), transition, INSTANT, options)
+    else:
+        run = ca.integrator(name, integrator.plugin, dae, 0.0, [1.0], options)
     generator = ca.CodeGenerator(f"{model.name}_sim_casadi")
     generator.add(run)
     if model.events:

@@ -11,7 +11,7 @@ import casadi as ca
 
 from ..elements import GROUND, RigidBodySpringDamper
 from ..parts import Event, Hold, Label, Part, Update
-from ..sensors import Quantity
+from ..sensors import CONNECTOR_QUANTITIES, CONNECTOR_TANGENTS, Quantity, effect_force
 from ..symbols import TIME, to_expr
 from .columns import (
     axes_without_inertia,
@@ -67,6 +67,15 @@ class ConnectorWriter:
         """Names of its unknown forces."""
         name = self.connector.name
         return [Label(f"{name}.{o.name}", o.unit) for o in self.connector.unknowns]
+
+    @property
+    def quantities(self) -> list[Quantity]:
+        """What can be asked of it: what every connector has, and the force of each effect."""
+        forces = [
+            effect_force(i, effect.label, "N m" if effect.axis > 2 else "N")
+            for i, effect in enumerate(self._effects) if not effect.whole
+        ]  # fmt: skip
+        return [*CONNECTOR_QUANTITIES, *CONNECTOR_TANGENTS, *forces]
 
     @cached_property
     def kind(self) -> Kind:

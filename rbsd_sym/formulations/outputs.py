@@ -10,7 +10,6 @@ import casadi as ca
 from ..parts import Output
 from ..sensors import (
     BODY_QUANTITIES,
-    CONNECTOR_QUANTITIES,
     CONNECTOR_TANGENTS,
     SCENE_QUANTITIES,
     BodyView,
@@ -52,7 +51,7 @@ class OutputWriter:
                     lambda q=q, body=body: (self._of_body(q), body_column(body)),
                 )
         for writer in self.connectors:
-            for q in (*CONNECTOR_QUANTITIES, *CONNECTOR_TANGENTS):
+            for q in writer.quantities:
                 add(
                     writer.connector.name,
                     q,

@@ -93,9 +93,8 @@ def _integrator(
         dae = {"t": t, "x": x, "z": z, "p": p, "ode": ode, "alg": alg}
     dae.pop("u", None)
     dae, transition = add_events(model, dae, (t, x, z, u, p[: model.n_p]), instant)
-    chosen = {**casadi_events.options(transition, instant), **options}
     grid = [float(time) for time in e.t]
-    function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], chosen)
+    function = casadi_events.integrator(model.name, plugin, dae, grid, transition, instant, options)
     if fixed:
         model.memo[key] = function
     return function
