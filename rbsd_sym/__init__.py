@@ -17,7 +17,16 @@ from .exports import (
     load_simulator,
 )
 from .formulations import ModelWarning, Quaternion, TaitBryan
-from .integrators import Dop853, ExplicitRK, Idas, Rosenbrock
+from .integrators import (
+    RK4,
+    Collocation,
+    Dop853,
+    ExplicitRK,
+    GeneralizedAlpha,
+    Idas,
+    PostNewton,
+    Rosenbrock,
+)
 from .laws import (
     Consistent,
     Contact,
@@ -43,8 +52,10 @@ from .version import VERSION as __version__
 
 __all__ = [
     "GROUND",
+    "RK4",
     "TIME",
     "Artefact",
+    "Collocation",
     "CompilerMissing",
     "Consistent",
     "Contact",
@@ -54,6 +65,7 @@ __all__ = [
     "ExplicitRK",
     "Fracture",
     "Friction",
+    "GeneralizedAlpha",
     "Idas",
     "Impact",
     "Input",
@@ -69,6 +81,7 @@ __all__ = [
     "Outcome",
     "Param",
     "Plastic",
+    "PostNewton",
     "Quaternion",
     "RigidBody",
     "RigidBodySpringDamper",

@@ -348,6 +348,7 @@ def table(title: str, labels: tuple[Label, ...]) -> list[str]:
     width = max(len(label.name) for label in labels)
     rows = [
         f"  {i:4d}  {label.name:<{width}}  {label.start:.6g} {label.unit}".rstrip()
+        + (" (data)" if label.data else "")
         for i, label in enumerate(labels)
     ]
     return [f"{title}:", *rows]

@@ -314,6 +314,8 @@ class Model:
             *table("inputs", self.dae.u_labels),
             *table("parameters", self.dae.p_labels),
             *table("parameters without effect", self.dae.idle_p_labels),
+            *(["events, in order:"] if self.events else []),
+            *(f"  {event.name}" for event in self.dae.events),
         ]
         if self.replaced:
             lines.append("states replaced:")

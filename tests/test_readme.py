@@ -27,7 +27,7 @@ def blocks(language: str) -> list[str]:
 def test_python_and_c_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {}
-    scene, compiled, script = blocks("python")
+    scene, compiled, script, _ = blocks("python")
     exec(compile(scene, "README.md", "exec"), namespace)
     trajectory = namespace["trajectory"]
     assert isinstance(trajectory, rs.Trajectory)
@@ -61,6 +61,17 @@ def test_python_and_c_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert float(printed.stdout) == pytest.approx(2.5, rel=1e-12)
 
 
+def test_block_with_events(capsys: pytest.CaptureFixture[str]) -> None:
+    namespace: dict[str, object] = {}
+    exec(compile(blocks("python")[3], "README.md", "exec"), namespace)
+    *events, last = capsys.readouterr().out.splitlines()
+    assert events[0].endswith("s floor.friction_x_moves")
+    assert events[1].endswith("s floor.contact_z_closes")
+    mode, place = (float(word) for word in last.split())
+    assert mode == 0  # it has come to rest, near v^2 / (2 mu g)
+    assert place == pytest.approx(4 / (2 * 0.3 * 9.81), rel=0.06)
+
+
 @pytest.mark.parametrize("path", MODELS, ids=lambda p: p.stem)
 def test_models_run_and_export(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -91,7 +102,7 @@ def test_pair_makes_the_energy_its_law_makes(law: object, ratio: float, within: 
 
 def test_models_cover_what_the_readme_says() -> None:
     assert {path.stem for path in MODELS} == {
-        "chain", "engine_mounts", "mini", "pair", "user_force",
+        "chain", "engine_mounts", "mini", "pair", "post_newton_contact", "stick_slip", "user_force",
     }  # fmt: skip
 
 

@@ -36,6 +36,7 @@ def card_text(model: Model, functions: list[Exported]) -> str:
     ):
         if labels:
             lines += ["", f"## {title}", "", *_rows(labels)]
+    lines += _events(model)
     lines += ["", "## States dropped", ""]
     if model.dropped:
         lines += ["| state | value | why |", "|---|---|---|"]
@@ -51,6 +52,17 @@ def card_text(model: Model, functions: list[Exported]) -> str:
     if model.notes:
         lines += ["", "## Notes", "", *(f"- {note}" for note in model.notes)]
     return "\n".join([*lines, ""])
+
+
+def _events(model: Model) -> list[str]:
+    if not model.events:
+        return []
+    return [
+        "", "## Events", "", "Each fires as its entry of `zero` falls through zero; then its "
+        "column of `jump` is added to the states, and the algebraic unknowns solve `alg` again. "
+        "Those that happen at once do so in this order.", "",
+        *(f"{i}. `{name}`" for i, name in enumerate(model.events)),
+    ]  # fmt: skip
 
 
 def _rows(labels: tuple[Label, ...]) -> list[str]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from ..model import Model
-from ..trajectory import Outcome
+from ..trajectory import Experiment, Outcome
 from .driver import Run, Verdict
 
 
@@ -54,6 +56,44 @@ def refuse_updates(model: Model, method: str) -> None:
             f"model '{model.name}': post_newton_step, which {method} does not have; use "
             "GeneralizedAlpha() or Idas()"
         )
+
+
+def refuse_events(model: Model, method: str) -> None:
+    """Methods with steps fixed beforehand have no events.
+
+    Raises:
+        ValueError: the model has events or post-Newton steps.
+    """
+    if model.events or model.dae.updates:
+        what = "events" if model.events else "post_newton_step"
+        raise ValueError(
+            f"model '{model.name}': {what}, which {method} does not have; use Idas(), "
+            "GeneralizedAlpha(step), or effects with smoothing"
+        )
+
+
+def check_fixed_step(integrator: Any) -> None:
+    """The step is a positive number.
+
+    Raises:
+        ValueError: it is not.
+    """
+    step = integrator.step
+    if not (isinstance(step, (int, float)) and 0 < step < math.inf):
+        raise ValueError(f"{type(integrator).__name__}: step {step!r} s; it is positive and finite")
+
+
+def elements_of(experiment: Experiment, step: float) -> int:
+    """What CasADi is to be told, so that no step is longer than asked for.
+
+    It cuts each interval into ceil(interval / span * number) steps. With equal intervals one less
+    than the true number keeps rounding from adding a step to some of them.
+    """
+    intervals, span = np.diff(experiment.t), float(experiment.t[-1] - experiment.t[0])
+    most = max(1, math.ceil(float(intervals.max()) / step * (1 - 1e-9)))
+    if len(intervals) > 1 and np.ptp(intervals) <= 1e-9 * intervals[0]:
+        return most * len(intervals) - 1
+    return max(1, math.ceil(span / step * (1 - 1e-9)))
 
 
 def runge_kutta_options(integrator: Any) -> dict[str, Any]:

@@ -118,7 +118,7 @@ class Watch:
 
     def look(self, t: float, x: np.ndarray, z: np.ndarray) -> Point:
         """The point with its functions and rates."""
-        given = (t, x, z, self._inputs(t), self.experiment.p)
+        given = (t, x, z, self.inputs(t), self.experiment.p)
         zero, rate = (np.array(f(*given)).reshape(-1) for f in self._functions[:2])
         return Point(t, x, z, zero, np.where(np.isfinite(rate), rate, 0.0))
 
@@ -237,7 +237,7 @@ class Watch:
 
     def _fired(self, point: Point, i: int) -> Point:
         t, x = point.t, point.x
-        u, p = self._inputs(t), self.experiment.p
+        u, p = self.inputs(t), self.experiment.p
         jump = np.array(self._functions[2](t, x, point.z, u, p)[:, i]).reshape(-1)
         self.happened.append(Happened(t, self.model.events[i]))
         z, consistent = point.z, True
@@ -268,7 +268,8 @@ class Watch:
         falls = (np.abs(point.zero) <= width) & (point.rate < 0)
         return self.armed & (falls | (self._at_once & (point.zero < -width)))
 
-    def _inputs(self, t: float) -> np.ndarray:
+    def inputs(self, t: float) -> np.ndarray:
+        """Values of the inputs."""
         return input_values(self.experiment.inputs, np.array([t]))[:, 0]
 
 

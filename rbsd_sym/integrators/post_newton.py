@@ -13,7 +13,8 @@ it is called after each converged Newton solve, at the end of the step:
 With IDAS it is called at the points where the driver looks, eight an output interval. The data
 become what it returned if the error is within the tolerance, and IDAS starts again if they changed.
 If not, the step to that point is halved until the error is within the tolerance, or the time of the
-change is known to an instant; then the data become what it returned. Recommended steps play no part.
+change is known to an instant; then the data become what it returned. Recommended steps play no
+part.
 
 The largest error of all connectors counts, and the smallest step that is not negative.
 """

@@ -7,6 +7,7 @@ stretch of as many output intervals. Stretches double from one on as long as not
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -36,6 +37,7 @@ from .signals import is_constant, raise_of_user
 
 LOOKS = 8  # in an output interval
 _LONGEST = 64  # output intervals in one stretch
+_SLIVER = 1e-3  # of a look, which is not looked at
 _UNIFORM = 1e-9  # relative differences of output intervals that count as equal
 _TIGHTER = 1e-2  # tolerances for the way to an event, relative to those of the run
 
@@ -137,7 +139,10 @@ class Walk:
             aligned = abs(times[self.saved - 1] - point.t) <= self.watch.instant
             count = min(size, len(times) - self.saved) if aligned and self._uniform else 1
             end = float(times[self.saved + count - 1])
-            points, failed = self._stretch(point, end, count * LOOKS)
+            interval = end - float(times[self.saved - 1]) if count == 1 else 0.0
+            share = (end - point.t) / interval if count == 1 else count  # of a look's grid
+            looks = max(1, math.ceil(LOOKS * share - _SLIVER))
+            points, failed = self._stretch(point, end, looks)
             reached = self._along(points)
             if reached is None and failed is not None:
                 return End(None, points[-1].t, failed=failed)

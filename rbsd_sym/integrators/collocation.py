@@ -1,0 +1,58 @@
+"""Collocation with fixed steps: the implicit Runge-Kutta methods Gauss-Legendre and Radau IIA."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..model import Model
+from ..trajectory import Experiment, Outcome, Trajectory
+from .checks import check_fixed_step, elements_of, refuse_events
+from .driver import Run, Verdict, run
+
+_MOST_STAGES = 9  # CasADi has tables of collocation points up to here
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """Fixed steps of a collocation method, solved by Newton's method with exact Jacobians.
+
+    `radau` has order 2 degree - 1 and damps what is much faster than the step (L-stable);
+    `legendre` has order 2 degree, is symmetric and keeps quadratic invariants [Hairer, Wanner 1996,
+    sec. IV.5; Hairer, Lubich, Wanner 2006, sec. IV.2].
+
+    Arguments:
+        step: s; intervals between output times are cut into equal steps not longer than this.
+        degree: stages, 1 ... 9.
+        scheme: "radau" or "legendre".
+    """
+
+    step: float
+    degree: int = 3
+    scheme: str = "radau"
+
+    def __post_init__(self) -> None:
+        check_fixed_step(self)
+        if self.degree not in range(1, _MOST_STAGES + 1):
+            raise ValueError(f"Collocation: degree {self.degree!r}; it is 1 ... {_MOST_STAGES}")
+        if self.scheme not in ("radau", "legendre"):
+            raise ValueError(f"Collocation: scheme {self.scheme!r}; it is 'radau' or 'legendre'")
+
+    def solve(self, model: Model, experiment: Experiment) -> Trajectory:
+        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.
+
+        Raises:
+            ValueError: the model has events.
+        """
+        refuse_events(model, type(self).__name__)
+        options = {
+            "number_of_finite_elements": elements_of(experiment, self.step),
+            "interpolation_order": self.degree, "collocation_scheme": self.scheme,
+            "simplify": False, "rootfinder": "fast_newton",
+            "rootfinder_options": {"abstol": 0, "abstolStep": 1e-13, "max_iter": 50},
+        }  # fmt: skip
+        return run(model, experiment, "collocation", options, _judge, {})
+
+
+def _judge(result: Run) -> Verdict:
+    advice = "Newton's method found no end of a step; take shorter steps"
+    return Verdict(Outcome.solver_failed, None, advice)
