@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from numbers import Real
 from typing import ClassVar, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from ..model import Model
@@ -191,6 +192,10 @@ class GeneralizedAlpha:
             raise ValueError(
                 f"GeneralizedAlpha: max_steps {self.max_steps!r}; it is a whole number above 0"
             )
+
+    def step_function(self, model: Model) -> ca.Function:
+        """One step as a CasADi Function, which generates to C; see `alpha_step.step_function`."""
+        return step_function(model, self.spectral_radius, self.newton_tolerance)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
         """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""

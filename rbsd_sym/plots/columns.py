@@ -1,4 +1,4 @@
-"""Figures: columns of a trajectory."""
+"""Columns of a trajectory over time."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .trajectory import Trajectory
+from ..trajectory import Trajectory
+from .style import COLOURS, STYLES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# Okabe and Ito's colours, told apart by readers with any colour vision; black for the fourth axis.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#56B4E9", "#E69F00", "#F0E442")
-_STYLES = ("-", "--", "-.", ":")
 
 
 def trajectory(trajectory: Trajectory, columns: Sequence[str]) -> Figure:
@@ -39,8 +36,8 @@ def trajectory(trajectory: Trajectory, columns: Sequence[str]) -> Figure:
         values = column.values.reshape(len(trajectory.t), -1)
         for i in range(values.shape[1]):
             label = column.components[i] if len(column.components) == values.shape[1] else str(i)
-            style = _STYLES[(i // len(_COLOURS) + i) % len(_STYLES)]
-            colour = _COLOURS[i % len(_COLOURS)]
+            style = STYLES[(i // len(COLOURS) + i) % len(STYLES)]
+            colour = COLOURS[i % len(COLOURS)]
             panel.plot(trajectory.t, values[:, i], style, color=colour, label=label, lw=1.5)
         quantity = name.split(".")[-1].replace("_", " ")
         panel.set_ylabel(f"{quantity} [{column.unit}]" if column.unit else quantity)
