@@ -1,9 +1,11 @@
-"""The command line: python -m rbsd_sym info|run|export MODEL."""
+"""The command line: python -m rbsd_sym info|run|export|chart MODEL."""
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
+import platform
 import sys
 import time
 import warnings
@@ -24,6 +26,7 @@ examples:
   python -m rbsd_sym run models/engine_mounts.py            integrate, plot, save
   python -m rbsd_sym run models/mini.py --t-end 2 --columns body.position spring.force_local
   python -m rbsd_sym export models/engine_mounts.py         C code with header and model card
+  python -m rbsd_sym chart models/mini.py                   speed against accuracy
 """
 _INTEGRATORS = {"idas": rs.Idas, "rosenbrock": rs.Rosenbrock, "explicit": rs.ExplicitRK}
 
@@ -35,6 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
         "info": _info,
         "run": _run,
         "export": _export,
+        "chart": _chart,
     }
     try:
         commands[options.command](options)
@@ -55,11 +59,12 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="info|run|export")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="info|run|export|chart")
     for name, text in (
         ("info", "print the model: states, start values, cost, notes"),
         ("run", "integrate, and write generated/<name>/<name>.npz and .png"),
         ("export", "write C code to generated/<name>/"),
+        ("chart", "error against time of every integrator: generated/charts/<name>.png, .md, .csv"),
     ):
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("model", type=Path, help="Python file that defines scene()")
@@ -74,6 +79,9 @@ def _parser() -> argparse.ArgumentParser:
         )
         if name == "run":
             _run_options(command)
+        if name == "chart":
+            command.add_argument("--t-end", type=float, help="end in s (default: T_END, or 1)")
+            command.add_argument("--repeats", type=int, default=5, help="of each run (default 5)")
     return parser
 
 
@@ -116,9 +124,7 @@ def _finish(options: argparse.Namespace, trajectory: rs.Trajectory, columns: Any
     if len(trajectory.t) > 1:
         figure = rs.plots.trajectory(trajectory, list(chosen))
         picture = folder / f"{trajectory.name}.png"
-        unfinished = picture.with_suffix(".part")  # whole or not at all
-        figure.savefig(unfinished, dpi=120, format="png")
-        unfinished.replace(picture)
+        _whole(picture, lambda path: figure.savefig(path, dpi=120, format="png"))
         print(f"wrote {picture}")
     print(f"wrote {trajectory.save(folder / f'{trajectory.name}.npz')}")
     counts = ", ".join(
@@ -133,6 +139,34 @@ def _export(options: argparse.Namespace) -> None:
     with _progress(f"writing C of {model.name}"):
         artefact = rs.export_c(model, options.folder / model.name)
     print(f"wrote {artefact.folder} with {', '.join(artefact.functions)}")
+
+
+def _chart(options: argparse.Namespace) -> None:
+    file, model = _compile(options)
+    t_end = options.t_end if options.t_end is not None else getattr(file, "T_END", 1.0)
+    folder, inputs = options.folder / "charts", getattr(file, "INPUTS", {})
+    folder.mkdir(parents=True, exist_ok=True)
+    with _progress(f"charting {model.name} to t = {t_end:g} s"):
+        rivals = rs.study.contenders(model, t_end)
+        table = rs.study.work_precision(
+            model, rivals, t_end, repeats=options.repeats, inputs=inputs
+        )
+    figure = rs.plots.work_precision(table, f"{model.name}, {t_end:g} s")
+    _whole(folder / f"{model.name}.png", lambda path: figure.savefig(path, dpi=110, format="png"))
+    command = f"python -m rbsd_sym chart {options.model}"
+    note = f"`{command}` on {platform.machine()}, {os.cpu_count()} cores, {rs.__version__}\n\n"
+    text = f"# {model.name}: error against CPU time\n\n{note}{table.to_markdown()}"
+    _whole(folder / f"{model.name}.md", lambda path: path.write_text(text))
+    table.to_csv(folder / f"{model.name}.csv")
+    print(table)
+    print(f"wrote {folder / model.name}.png, .md and .csv")
+
+
+def _whole(target: Path, write: Callable[[Path], object]) -> None:
+    """Write a file whole or not at all."""
+    unfinished = target.with_suffix(".part")
+    write(unfinished)
+    unfinished.replace(target)
 
 
 def _settings(pairs: list[str]) -> dict[str, float]:

@@ -26,7 +26,9 @@ an executor handed in (lost workers, cancelled points) is an error in the table 
 nothing about the point, and the next call with the same file runs that point again.
 """
 
+from .contenders import contenders
+from .precision import Reference, converged, work_precision
 from .sweep import sweep
 from .table import Table
 
-__all__ = ["Table", "sweep"]
+__all__ = ["Reference", "Table", "contenders", "converged", "sweep", "work_precision"]
