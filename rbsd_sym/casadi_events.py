@@ -21,15 +21,17 @@ from .model import Model
 # What all methods agree on (see `integrators.events`).
 INSTANT = 1e-15  # of the run: times closer than this are one
 BAND = 10.0  # instants: a function this close to zero is zero
+LEAST = 400  # looks for crossings in a run
 CROWD = 10  # instants that follow each other
 CLOSE = 1e-10  # of the run: closer than this they never end
 
-RECORD = 64  # events remembered, the last ones
+RECORD = 64  # events remembered between two output times, the last ones
 _SEARCH = 500  # looks for one event
 _MOST = 10_000  # events in a run
 _NEWTON = 4  # steps for the unknowns after an event
 _PASSES = 2  # over all events, for those that others set off
 NEVER = 1e300
+_NOISE = 1e-25
 
 
 # The extra states: count of events, first time at which one stops the run, first time at which they
@@ -46,7 +48,7 @@ class Happened(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What happened in a run: how many events, the last `RECORD`, and when it was to end."""
+    """What happened in a run: how many events, which, and when it was to end."""
 
     total: int
     events: tuple[Happened, ...]
@@ -60,12 +62,28 @@ def extra_start() -> np.ndarray:
 
 
 def recorded(model: Model, extra: np.ndarray, before: Sequence[Happened]) -> Recorded:
-    """The record in the extra states, after what happened before the run."""
-    count = int(extra[0])
-    times, which = extra[_TIMES], extra[_WHICH]
-    slots = [k % RECORD for k in range(max(0, count - RECORD), count)]
-    found = [Happened(float(times[k]), model.events[int(which[k])]) for k in slots]
-    return Recorded(count + len(before), (*before, *found), float(extra[1]), float(extra[2]))
+    """The record in the extra states (n, N_EXTRA) at the output times, after what was before.
+
+    Of more than `RECORD` events between two output times the first ones are lost.
+    """
+    found, told = list(before), 0
+    for row in extra:
+        count, times, which = int(row[0]), row[_TIMES], row[_WHICH]
+        slots = (k % RECORD for k in range(max(told, count - RECORD), count))
+        found += [Happened(float(times[k]), model.events[int(which[k])]) for k in slots]
+        told = count
+    return Recorded(told + len(before), tuple(found), float(extra[-1, 1]), float(extra[-1, 2]))
+
+
+def tidy(model: Model, x: Any) -> Any:
+    """The states with zeros where linear solvers have left rounding in data states.
+
+    So that a comparison with 0 is one.
+    """
+    rows = list(ca.vertsplit(x)) if model.n_x else []
+    for i in model.dae.data:
+        rows[i] = ca.if_else(ca.fabs(rows[i]) < _NOISE, 0, rows[i])
+    return ca.vertcat(*rows) if model.dae.data else x
 
 
 def add_events(

@@ -16,6 +16,7 @@ from .dae import Dae, table
 from .newton import newton
 from .parts import Label
 from .reduction import Dropped, Reduction, Replaced
+from .scene import Scene
 from .spectra import growth_exponent, growth_rates
 from .trajectory import Column, Trajectory
 from .version import VERSION
@@ -64,6 +65,7 @@ class Model:
         kernels: functions call one kernel for each kind of part, mapped over its instances;
             otherwise they are flat. The numbers are the same.
         library: compiled functions, by name, that stand in for ours.
+        scene: what it was compiled from, for pictures.
     """
 
     dae: Dae
@@ -71,6 +73,7 @@ class Model:
     kernels: bool = False
     library: Mapping[str, ca.Function] = field(default_factory=dict, repr=False)
     memo: dict[Any, Any] = field(default_factory=dict, repr=False)
+    scene: Scene | None = field(default=None, repr=False)
 
     @property
     def name(self) -> str:

@@ -74,8 +74,10 @@ def compile_scene(
         raise ValueError(f"compile_scene: layout {layout!r}; there are {', '.join(_LAYOUTS)}")
     chosen = formulation or Quaternion()
     if not minimal:
-        return derive(balance(chosen.write(scene)), None, _LAYOUTS[layout])
-    return derive(*smallest(scene, chosen), _LAYOUTS[layout])
+        model = derive(balance(chosen.write(scene)), None, _LAYOUTS[layout])
+    else:
+        model = derive(*smallest(scene, chosen), _LAYOUTS[layout])
+    return replace(model, scene=scene)
 
 
 def simulate(

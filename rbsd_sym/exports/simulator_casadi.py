@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..casadi_events import INSTANT, N_EXTRA, NEVER, RECORD, add_events, begin
+from ..casadi_events import INSTANT, N_EXTRA, NEVER, RECORD, add_events, begin, tidy
 from ..casadi_events import integrator as with_events
 from ..model import Model
 from . import names
@@ -24,7 +24,7 @@ def casadi_text(model: Model, integrator: Any) -> str:
     p, first, last, more = ca.vertsplit(
         q, [0, model.n_p, model.n_p + model.n_u, model.n_p + 2 * model.n_u, n_q]
     )
-    arguments = (more[0] + s * more[1], x, z, first + s * (last - first), p)
+    arguments = (more[0] + s * more[1], tidy(model, x), z, first + s * (last - first), p)
     dae = {"t": s, "x": x, "z": z, "p": q, "ode": more[1] * model.function("ode")(*arguments),
            "alg": model.function("alg")(*arguments)}  # fmt: skip
     options = dict(integrator.casadi_options) | {"reltol": 1e-6, "abstol": 1e-8}

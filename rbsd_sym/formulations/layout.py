@@ -128,9 +128,10 @@ class Layout:
         r, step = ca.SX.sym("r", len(self.coordinates.labels)), ca.SX.sym("step", 3)
         _, q = self.coordinates.orientation(r)
         turned = quat_product(q, quat_exp(step))
-        return ca.Function(
-            "retract", [r, step], [self.coordinates.start(quat_matrix(turned), turned)]
-        )
+        found = self.coordinates.start(quat_matrix(turned), turned)
+        if not self.coordinates.quaternion:  # angles count turns
+            found = found + 2 * ca.pi * ca.floor((r - found) / (2 * ca.pi) + 0.5)
+        return ca.Function("retract", [r, step], [found])
 
     def balances(self, index: int) -> list[Balance]:
         """The motions of a body that have no inertia: its three translations, its rotation."""

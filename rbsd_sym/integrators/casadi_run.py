@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from .. import casadi_events
-from ..casadi_events import CLOSE, CROWD, Recorded, add_events, extra_start, recorded
+from ..casadi_events import CLOSE, CROWD, LEAST, Recorded, add_events, extra_start, recorded, tidy
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
 from .checks import refuse_updates
@@ -29,6 +29,8 @@ from .driver import (
 )
 from .events import End, Watch, guarded
 from .signals import is_constant, raise_of_user
+
+_BEYOND = 1e-6  # of the run and the rate: so far below zero no event is late, but missed
 
 
 def run_with_events(
@@ -58,7 +60,7 @@ def run_with_events(
     built = time.perf_counter()
     whole = np.concatenate([experiment.x, extra_start()])
     result = call_integrator(integrator, replace(experiment, x=whole))
-    record = recorded(model, result.x[_reached(result) - 1, model.n_x :], watch.happened)
+    record = recorded(model, result.x[: _reached(result), model.n_x :], watch.happened)
     result = result._replace(x=result.x[:, : model.n_x].copy())
     if model.n_z:
         settle(model, experiment, result)
@@ -92,12 +94,33 @@ def _integrator(
         ode, alg, u = over(t, x, z, p)
         dae = {"t": t, "x": x, "z": z, "p": p, "ode": ode, "alg": alg}
     dae.pop("u", None)
-    dae, transition = add_events(model, dae, (t, x, z, u, p[: model.n_p]), instant)
+    arguments = (t, tidy(model, x), z, u, p[: model.n_p])
+    dae, transition = add_events(model, dae, arguments, instant)
+    options = {"max_step_size": _longest(e), **options}
     grid = [float(time) for time in e.t]
     function = casadi_events.integrator(model.name, plugin, dae, grid, transition, instant, options)
     if fixed:
         model.memo[key] = function
     return function
+
+
+def _missed(
+    model: Model, e: Experiment, x: np.ndarray, z: np.ndarray
+) -> tuple[int, str] | None:  # fmt: skip
+    """The first saved point at which an event that fires at once should have, and its name."""
+    watch = Watch(model, e)
+    for k, point in enumerate(watch.look_at(e.t[: len(x)], x, z)):
+        width = _BEYOND * (1 + np.abs(point.rate)) * (e.t[-1] - e.t[0])
+        below = watch.at_once & (point.zero < -width)
+        if k and below.any():
+            return k, model.events[int(np.argmax(below))]
+    return None
+
+
+def _longest(e: Experiment) -> float:
+    """The longest step: CasADi looks for crossings at the ends of steps only."""
+    span, interval = float(e.t[-1] - e.t[0]), float(np.diff(e.t).max())
+    return min(span / LEAST, interval / 2)
 
 
 def _trajectory(
@@ -118,6 +141,15 @@ def _trajectory(
         stats["t_failed"] = last
         return assemble(model, e, result.x[:n], result.z[:n], outcome, report, stats, events)
     x, z = result.x[:n], result.z[:n]
+    missed = _missed(model, e, x, z)
+    if missed is not None:
+        n, outcome = missed[0], Outcome.solver_failed
+        stats["t_failed"] = float(e.t[n])
+        report = (
+            f"{outcome.value}: event '{missed[1]}' was missed before t = {e.t[n]:.9g} s; what "
+            "comes fast near rest escapes CasADi's methods; use Idas() or Dop853()"
+        )
+        return assemble(model, e, x[:n], z[:n], outcome, report, stats, record.events)
     if not result.failed and n == len(e.t):
         outcome = Outcome.reached_end
         return assemble(model, e, x, z, outcome, outcome.value, stats, record.events)

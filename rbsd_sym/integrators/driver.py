@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from ..casadi_events import tidy
 from ..model import Model
 from ..trajectory import Column, Experiment, Outcome, Samples, Signal, Trajectory
 from .signals import evaluate, is_constant, raise_of_user, symbolic
@@ -126,7 +127,8 @@ def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dic
     if all_traced and not model.calls:
         u = ca.vertcat(ca.SX(0, 1), *(
             dae.u[i] if expr is None else expr for i, expr in enumerate(traced)))  # fmt: skip
-        ode, alg = ca.substitute([dae.ode, dae.alg], [dae.u], [u])
+        given = [dae.u, dae.x], [u, tidy(model, dae.x)]
+        ode, alg = ca.substitute([dae.ode, dae.alg], *given)
         return {"t": dae.t, "x": dae.x, "z": dae.z, "p": p, "ode": ode, "alg": alg, "u": u}
     t, x, z = ca.MX.sym("t"), ca.MX.sym("x", model.n_x), ca.MX.sym("z", model.n_z)
     q = ca.MX.sym("p", p.numel())
@@ -140,7 +142,7 @@ def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dic
         else:
             entries.append(evaluate(signal, t, kept))
     u = ca.vertcat(*entries)
-    arguments = (t, x, z, u, q[: model.n_p])
+    arguments = (t, tidy(model, x), z, u, q[: model.n_p])
     return {"t": t, "x": x, "z": z, "p": q, "ode": model.function("ode")(*arguments),
             "alg": model.function("alg")(*arguments), "u": u}  # fmt: skip
 

@@ -12,7 +12,8 @@ The rules, for all integrators:
 - Events at one instant happen in the order of the model's list. After each the algebraic unknowns
   are solved again and all events looked at anew. An event that has fired must have been above zero
   again before it can fire once more.
-- Ten instants closer together than 1e-10 of the run, or a thousand events at one, end the run.
+- Events without end end the run: ten instants within 1e-10 of it, thirty within 1e-6, a thousand
+  within 1e-4, or a thousand events at one instant.
 """
 
 from __future__ import annotations
@@ -28,9 +29,11 @@ from ..model import Model
 from ..trajectory import Experiment, Outcome
 from .driver import input_values
 
+_CROWDS = ((CROWD, CLOSE), (30, 1e-6), (1000, 1e-4))  # instants, and their share of a run
+_FOUND = 1e-9  # a function that does not jump is nearer to zero where it was found to cross it
 _AT_ONCE = 1000
 _DEPTH = 6  # halvings in search of a crossing that the ends do not show
-_REFINED = 100  # looks in search of one crossing
+_REFINED = 150  # looks in search of one crossing
 
 
 class Point(NamedTuple):
@@ -102,6 +105,7 @@ class Watch:
     Fields:
         happened: what has fired so far.
         armed: whether each event would fire as it falls; kept up to date by `begin` and `pass_on`.
+        at_once: whether each event may fire at once.
     """
 
     model: Model
@@ -112,8 +116,9 @@ class Watch:
         e, events = self.experiment, self.model.dae.events
         self.instant = INSTANT * float(e.t[-1] - e.t[0]) + 4 * np.finfo(float).eps * abs(e.t[-1])
         self.armed = np.zeros(len(events), bool)
-        self._at_once = np.array([event.at_once for event in events], bool)
+        self.at_once = np.array([event.at_once for event in events], bool)
         self._instants: list[float] = []
+        self._floor = np.zeros(len(events))
         self._functions = tuple(self.model.function(f) for f in ("zero", "zero_rate", "jump"))
 
     def look(self, t: float, x: np.ndarray, z: np.ndarray) -> Point:
@@ -140,7 +145,7 @@ class Watch:
             EventsDoNotEnd, Stopped, Inconsistent: see there.
         """
         point = self.look(t, x, z)
-        self.armed = self._at_once | self._above(point)
+        self.armed = self.at_once | self._above(point)
         return self._cascade(point, [])
 
     def pass_on(self, point: Point) -> None:
@@ -186,10 +191,10 @@ class Watch:
         [a, b] holds a crossing. The roots of cubics close in on it, halvings where they do not.
         """
         left, right, guess = a, b, _first_root(a, b, self.armed)
-        for k in range(_REFINED):
-            if not left.t < guess < right.t or k % 4 == 3:
-                guess = (left.t + right.t) / 2
-            if right.t - left.t <= self.instant or not left.t < guess < right.t:
+        guess = guess if a.t < guess < b.t else (a.t + b.t) / 2
+        for _ in range(_REFINED):
+            width = right.t - left.t
+            if width <= self.instant or not left.t < guess < right.t:
                 return right
             state = advance(a, guess)
             if state is None:
@@ -200,9 +205,11 @@ class Watch:
             else:
                 left = point
             before, guess = guess, _first_root(left, right, self.armed)
-            if abs(guess - before) <= self.instant / 4:  # step over it, to have it on both sides
-                side = 1 if point is left else -1
-                guess = before + side * self.instant / 2
+            inside = left.t < guess < right.t
+            if inside and abs(guess - before) <= self.instant / 4:  # step over it, to have it on
+                guess = before + (1 if point is left else -1) * self.instant / 2  # both sides
+            elif not inside or right.t - left.t > width / 2:
+                guess = (left.t + right.t) / 2
         return right
 
     def fire(self, point: Point) -> Point:
@@ -212,12 +219,16 @@ class Watch:
             EventsDoNotEnd, Stopped, Inconsistent: see there.
         """
         self._instants.append(point.t)
-        recent = self._instants[-CROWD:]
-        e = self.experiment
         first = self.armed & (point.zero <= self._width(point))
+        found = first & (np.abs(point.zero) <= _FOUND)
+        self._floor[found] = 2 * np.abs(point.zero[found])
         point = self._cascade(point, list(np.flatnonzero(first & (point.zero < 0))))
-        if len(recent) == CROWD and recent[-1] - recent[0] <= CLOSE * (e.t[-1] - e.t[0]):
-            raise self._endless(point.t, f"the last {CROWD} within {recent[-1] - recent[0]:.3g} s")
+        run = float(self.experiment.t[-1] - self.experiment.t[0])
+        for count, share in _CROWDS:
+            recent = self._instants[-count:]
+            if len(recent) == count and recent[-1] - recent[0] <= share * run:
+                how = f"the last {count} within {recent[-1] - recent[0]:.3g} s"
+                raise self._endless(point.t, how)
         return point
 
     def _cascade(self, point: Point, due: list[int]) -> Point:
@@ -254,8 +265,8 @@ class Watch:
         return after
 
     def _width(self, point: Point) -> np.ndarray:
-        """What counts as zero."""
-        return BAND * self.instant * np.abs(point.rate)
+        """What counts as zero: some instants of its motion, and the rounding at its last event."""
+        return np.maximum(BAND * self.instant * np.abs(point.rate), self._floor)
 
     def _above(self, point: Point) -> np.ndarray:
         """Events whose function is above zero, or on it and not about to fall."""
@@ -266,7 +277,7 @@ class Watch:
         """Armed events that fire now."""
         width = self._width(point)
         falls = (np.abs(point.zero) <= width) & (point.rate < 0)
-        return self.armed & (falls | (self._at_once & (point.zero < -width)))
+        return self.armed & (falls | (self.at_once & (point.zero < -width)))
 
     def inputs(self, t: float) -> np.ndarray:
         """Values of the inputs."""
@@ -296,6 +307,7 @@ def _first_root(a: Point, b: Point, armed: np.ndarray) -> float:
     for i in np.flatnonzero(armed & (b.zero < 0)):
         c = _coefficients(a, b, int(i))
         roots = np.roots([c[3], c[2], c[1], c[0]]) if any(c[1:]) else np.array([])
-        inside = [float(r.real) for r in roots if abs(r.imag) < 1e-9 and 0 <= r.real <= 1]
-        first = min([first, *inside])
+        inside = (float(r.real) for r in roots if abs(r.imag) < 1e-9 and 0 <= r.real <= 1)
+        falling = (s for s in inside if c[1] + s * (2 * c[2] + 3 * s * c[3]) < 0)
+        first = min([first, *falling])
     return a.t + first * (b.t - a.t)

@@ -68,8 +68,9 @@ class Idas:
         post_newton: how far post-Newton steps are resolved.
         options: more of CasADi's options for the plugin, by their names.
 
-    A model with events is watched eight times an output interval, and IDAS starts again after each
-    (see `integrators.events`).
+    A model with events is watched eight times an output interval, 400 times a run, and at every
+    fourth step, whichever is most often; IDAS starts again after each event (see
+    `integrators.events`).
     """
 
     rtol: float = 1e-8

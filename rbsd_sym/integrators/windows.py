@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..casadi_events import LEAST
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
 from .driver import (
@@ -35,7 +36,9 @@ from .events import End, Point, Watch, guarded
 from .post_newton import Advice, PostNewton, advice
 from .signals import is_constant, raise_of_user
 
-LOOKS = 8  # in an output interval
+LOOKS = 8  # in an output interval, at least
+_MOST = 20_000  # looks in a stretch
+_STEPS, _BEGIN = 4, 100  # of IDAS from look to look, at most, beside those after a start
 _LONGEST = 64  # output intervals in one stretch
 _SLIVER = 1e-3  # of a look, which is not looked at
 _UNIFORM = 1e-9  # relative differences of output intervals that count as equal
@@ -76,6 +79,8 @@ class Stretches:
         """State at a later time, smooth in it, for the search of an event."""
         options = {"reltol": rtol * _TIGHTER, "abstol": atol * _TIGHTER, "max_num_steps": 10_000}
         result = self.run("rosenbrock", point, t - point.t, 1, options)
+        data = list(self.model.dae.data)
+        result.x[-1, data] = point.x[data]
         good = not result.failed and np.isfinite(result.x[-1]).all()
         return (result.x[-1], result.z[-1]) if good else None
 
@@ -122,6 +127,10 @@ class Walk:
         self.z = np.full((len(e.t), self.model.n_z), np.nan)
         self.saved, self.looks = 0, 0
         steps = np.diff(e.t)
+        self._data, self._finer = list(self.model.dae.data), 1
+        # Few output times tell nothing about how fast things move.
+        while LOOKS * self._finer * len(steps) < LEAST:
+            self._finer *= 2
         self._uniform = bool(np.ptp(steps) <= _UNIFORM * steps[0])
 
     def go(self) -> End:
@@ -142,7 +151,7 @@ class Walk:
             interval = end - float(times[self.saved - 1]) if count == 1 else 0.0
             share = (end - point.t) / interval if count == 1 else count  # of a look's grid
             looks = max(1, math.ceil(LOOKS * share - _SLIVER))
-            points, failed = self._stretch(point, end, looks)
+            points, failed = self._stretch(point, end, looks * self._finer)
             reached = self._along(points)
             if reached is None and failed is not None:
                 return End(None, points[-1].t, failed=failed)
@@ -169,11 +178,15 @@ class Walk:
         length = end - start.t
         options = self.options(start, length)
         run = self.stretches.run(self.plugin, start, length, looks, options)
+        while not run.failed and looks < _MOST and run.stats["nsteps"] > _STEPS * looks + _BEGIN:
+            looks *= 2
+            run = self.stretches.run(self.plugin, start, length, looks, options)
         t = start.t + length * np.arange(looks + 1) / looks
         t[-1] = end
         good = np.isfinite(run.x).all(axis=1) & np.isfinite(run.z).all(axis=1)
         n = int(good.argmin()) if not good.all() else len(good)
-        x, z = run.x[:n], run.z[:n].copy()
+        x, z = run.x[:n].copy(), run.z[:n].copy()
+        x[:, self._data] = start.x[self._data]  # linear solvers leave rounding in them
         if self.model.n_z and n > 1:
             settle(self.model, replace(self.experiment, t=t[:n]), run._replace(x=x, z=z))
         self.looks += n

@@ -28,8 +28,9 @@ class Contact(Effect):
         side: +1 if the stop is at negative strain (a floor), -1 if at positive.
         smoothing: 0 for the form with events, which has the states `closed` and `lost`, the energy
             (J) that the spring still held when it let go. Else the depth (m or rad) in which the
-            push sets in, C2, with an error of at most 3/16 k smoothing; damping then reduces the
-            push to no less than 0, with an error of at most 2 % of k d, near zero only.
+            push sets in, C2, with an error of at most 3/16 k smoothing, and the damper with one of
+            at most c |d'|; damping reduces the push to no less than 0, with an error of at most 2 %
+            of k d, near zero push only, which does not vanish with the smoothing.
 
     Source: closed forms of drop and release [Schwager, Poeschel 2007].
     """
@@ -60,7 +61,7 @@ class Contact(Effect):
         depth, speed = -self.gap - self.side * sight.strain, -self.side * sight.rate
         if self.smoothing:
             return self._smooth(depth, speed)
-        closed, lost = sight.own[0], sight.own[1]
+        closed, lost = sight.own[0] > 0.5, sight.own[1]
         spread = depth + self.damping / self.stiffness * speed  # N / k, in the unit of the depth
         push, stored = self.stiffness * spread, self.stiffness * depth**2 / 2
         touch = ca.if_else(closed, 1, -ca.fmin(depth, spread))

@@ -12,6 +12,7 @@ import casadi as ca
 from .effect import Answer, Change, Effect, Own, Rule, Sight
 from .smooth import ramp
 
+_TINY = 1e-300  # keeps derivatives of a norm finite at zero
 _WIDTH = 1e-2  # of the limit, in which damage sets in
 
 
@@ -60,7 +61,7 @@ class Fracture(Effect):
         if self.smoothing:
             rate = (1 - sight.own[0]) * ramp(load - 1, _WIDTH) / self.smoothing
             return Answer(dissipated=rate * sight.energy, rates=rate, factor=1 - sight.own[0])
-        broken, lost = sight.own[0], sight.own[1]
+        broken, lost = sight.own[0] > 0.5, sight.own[1]
         breaks = Change(
             "breaks", ca.if_else(broken, 1, 1 - load), ca.vertcat(1, lost + sight.energy),
             at_once=True,
@@ -68,13 +69,11 @@ class Fracture(Effect):
         return Answer(rates=ca.SX.zeros(2), changes=(breaks,), factor=1 - broken)
 
     def _load(self, sight: Sight) -> ca.SX:
-        """The load over its limit, squared for force and torque, the largest of them."""
-        f, m = sight.force[:3], sight.force[3:]
+        """The load over its limit, the largest of them."""
         loads = []
-        if self.force is not None:
-            loads.append(ca.dot(f, f) / self.force**2)
-        if self.torque is not None:
-            loads.append(ca.dot(m, m) / self.torque**2)
+        for part, limit in ((sight.force[:3], self.force), (sight.force[3:], self.torque)):
+            if limit is not None:
+                loads.append(ca.sqrt(ca.dot(part, part) + _TINY) / limit)
         if self.energy is not None:
             loads.append(sight.energy / self.energy)
         return reduce(ca.fmax, loads)

@@ -12,6 +12,7 @@ from ..symbols import Scalar
 from .effect import Answer, Change, Effect, Own, Rule, Sight
 
 _STILL = 1e-8  # m/s or rad/s: what moves faster does not stick
+_CREEP = 1e-6  # of the Stribeck velocity: below it bristles do not yield
 _PEAK = 4.0  # widths, where regularised friction reaches the static limit
 
 
@@ -54,8 +55,8 @@ class Friction(Effect):
         smoothing: 0 for the form with events. Else the velocity w (m/s or rad/s) of the regularised
             one: f = N (mu_k tanh(v/w) + (mu_s - mu_k) b(v / 4w)), b(x) = x exp((1 - x^2)/2), smooth
             to any order. It never sticks: below the limit it creeps, under a force f at
-            w atanh(f / (mu_k N)); it slides too far by pi^2 m w^2 / (12 mu_k N); its peak is below
-            mu_s N by 0.07 % of mu_k N.
+            w atanh(f / (mu_k N)), an error of order 1 in w; coming to rest without a load it slides
+            too far by pi^2 m w^2 / (12 mu_k N); its peak is below mu_s N by 0.07 % of mu_k N.
     """
 
     axis: int
@@ -98,18 +99,18 @@ class Friction(Effect):
             x = v / (_PEAK * self.smoothing)
             force = kinetic * ca.tanh(v / self.smoothing)
             force += (static - kinetic) * x * ca.exp((1 - x * x) / 2)
-            return Answer(force, dissipated=force * sight.rate)
+            return Answer(force, dissipated=force * v)
         mode, force = sight.own[0], sight.unknown[0]
-        slides = mode * mode
+        slides = mode * mode > 0.5  # linear solvers leave rounding in data
         halt = v / sight.gives()  # the drift of the velocity held, and of finding the event
         changes = (
             Change("sticks", ca.if_else(slides, mode * v, 1), ca.SX(0), halt),
+            Change("moves", ca.if_else(slides, 1, _STILL - ca.fabs(v)), ca.sign(v), at_once=True),
             Change("slips", ca.if_else(slides, 1, static - ca.fabs(force)), ca.sign(force), halt,
                    at_once=True),
-            Change("moves", ca.if_else(slides, 1, _STILL - ca.fabs(v)), ca.sign(v), at_once=True),
         )  # fmt: skip
         return Answer(
-            force, dissipated=force * sight.rate, rates=ca.SX(0), changes=changes,
+            force, dissipated=force * v, rates=ca.SX(0), changes=changes,
             equation=slides * (force - mode * kinetic), held=1 - slides,
         )  # fmt: skip
 
@@ -121,8 +122,10 @@ class LuGre(Effect):
         f = s0 b + s1 b' + s2 v,   b' = v - s0 |v| b / g(v),
         g = N (mu_k + (mu_s - mu_k) exp(-(v / v_s)^2))
 
-    The state `bristle` b is the mean deflection. Force and rates have continuous derivatives; |v|
-    is v^2 / sqrt(v^2 + e^2) with e = v_s / 1000.
+    The state `bristle` b is the mean deflection. |v| is v^2 / sqrt(v^2 + e^2), e = v_s / 10^6, so
+    that derivatives are continuous; loads that move the block more slowly than e creep past the
+    static limit. The heat is not negative where s1 |v| <= 4 g(v). Choose atol well below the
+    deflection mu_s N / s0.
 
     Arguments:
         axis, normal, kinetic, static, velocity: as in `Friction`.
@@ -167,10 +170,10 @@ class LuGre(Effect):
         """The friction force and the rate of the bristles."""
         b, v = sight.own[0], sight.rate - self.velocity
         kinetic, static = _limits(self, sight)
-        e = 1e-3 * self.stribeck
+        e = _CREEP * self.stribeck
         speed = v * v / ca.sqrt(v * v + e * e)
         limit = kinetic + (static - kinetic) * ca.exp(-((v / self.stribeck) ** 2))
         rate = v - self.stiffness * speed * b / limit
         force = self.stiffness * b + self.damping * rate + self.viscous * v
         energy = self.stiffness * b * b / 2
-        return Answer(force, energy, force * sight.rate - self.stiffness * b * rate, rate)
+        return Answer(force, energy, force * v - self.stiffness * b * rate, rate)

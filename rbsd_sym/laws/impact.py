@@ -18,8 +18,9 @@ class Impact(Effect):
 
     Picture: a hard floor. The impulse goes to both bodies through the law, as a force would, so
     that turns and other directions follow from the inertias. Its energy loss, (1 - e^2) v^2 / 2
-    times the effective mass, is added to the state `lost` (J). A body that comes to rest bounces
-    without end in finite time; the run then ends with its outcome. For what rests use `Contact`.
+    times the effective mass, is added to the state `lost` (J). A start beyond the stop that
+    approaches is thrown back at once. A body that comes to rest bounces without end in finite time;
+    the run then ends with its outcome. For what rests use `Contact`.
 
     Arguments:
         axis: 0, 1, 2 for translation along the joint's x, y, z, 3, 4, 5 for rotation.
@@ -60,5 +61,6 @@ class Impact(Effect):
         e, gives = self.restitution, sight.gives()
         approach = self.side * ca.fmin(self.side * sight.rate, 0)
         lost = sight.own[0] + (1 - e * e) * approach**2 / (2 * gives)
-        hits = Change("hits", self.gap + self.side * sight.strain, lost, (1 + e) * approach / gives)
+        clearance = self.gap + self.side * sight.strain
+        hits = Change("hits", clearance, lost, (1 + e) * approach / gives, at_once=True)
         return Answer(rates=ca.SX(0), changes=(hits,))

@@ -70,7 +70,9 @@ class Plastic(Effect):
         lost = ca.if_else(excess > 0, self.yield_force * side * k * sight.rate / total, 0)
         p, s = p + side * slip, s + slip
         changes = (
-            Change("reverses", ca.if_else(flows, side * sight.rate, 1), ca.vertcat(p, s)),
+            Change(
+                "reverses", ca.if_else(flows, side * sight.rate, 1), ca.vertcat(p, s), at_once=True
+            ),
             Change("yields", -excess, sight.own),
         )
         return self._answer(u, p, s, lost, ca.SX.zeros(2), changes)

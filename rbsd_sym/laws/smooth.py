@@ -30,7 +30,7 @@ def step(x: Any, w: Any) -> Any:
 
 
 def step_over_ramp(x: Any, w: Any) -> Any:
-    """step(x, w) / ramp(x, w) for x > -w, where both have a triple zero; 2.5 / w below."""
+    """step(x, w) / ramp(x, w) for x > -w, where both have a triple zero; 5 / w below."""
     t = (x / w + 1) / 2
     ratio = 2 * (10 - 15 * t + 6 * t * t) / (w * (3 - x / w))
     return ca.if_else(x >= w, 1 / ca.if_else(x >= w, x, 1), ca.if_else(x > -w, ratio, 5 / w))

@@ -73,18 +73,24 @@ def work_precision(
     if isinstance(reference, Trajectory):
         reference = Reference(reference, 0.0, ("given", ""))
     measure = ErrorOf(model, reference.trajectory)
-    rows = []
-    for name, contender in named:
-        run = _runner(model, contender, grid, given)
-        trajectory, seconds = _timed(run, repeats)
-        errors = measure(trajectory) if trajectory.outcome.ok else dict.fromkeys(_QUANTITIES)
-        known = [e for e in errors.values() if e is not None]
-        rows.append((
-            name, _setting(contender), max(known, default=None),
-            *errors.values(), float(np.median(seconds)), min(seconds), max(seconds),
-            trajectory.stats.get("steps"), trajectory.outcome.name, reference.floor,
-        ))  # fmt: skip
-    return Table(tuple(_UNITS), tuple(_UNITS.values()), tuple(rows))
+    rows = [
+        (name, _setting(contender), *_row(_runner(model, contender, grid, given), repeats, measure))
+        for name, contender in named
+    ]
+    floor = reference.floor
+    return Table(tuple(_UNITS), tuple(_UNITS.values()), tuple((*row, floor) for row in rows))
+
+
+def _row(run: Callable[[], Trajectory], repeats: int, measure: ErrorOf) -> tuple[Any, ...]:
+    trajectory, seconds = _timed(run, repeats)
+    errors: dict[str, float | None] = dict.fromkeys(_QUANTITIES)
+    if trajectory.outcome.ok:
+        errors = measure(trajectory)
+    known = [e for e in errors.values() if e is not None]
+    return (
+        max(known, default=None), *errors.values(), float(np.median(seconds)), min(seconds),
+        max(seconds), trajectory.stats.get("steps"), trajectory.outcome.name,
+    )  # fmt: skip
 
 
 def converged(model: Model, times: Times = 1.0, **given: Any) -> Reference:
