@@ -107,13 +107,22 @@ def _integrator(
 def _missed(
     model: Model, e: Experiment, x: np.ndarray, z: np.ndarray
 ) -> tuple[int, str] | None:  # fmt: skip
-    """The first saved point at which an event that fires at once should have, and its name."""
-    watch = Watch(model, e)
+    """The first saved point at which an event that fires at once should have, and its name.
+
+    One that would change nothing there has done what it does, and so has one that has been below
+    zero from the start.
+    """
+    watch, change = Watch(model, e), model.function("jump")
+    waits = np.full(len(model.events), True)
     for k, point in enumerate(watch.look_at(e.t[: len(x)], x, z)):
         width = _BEYOND * (1 + np.abs(point.rate)) * (e.t[-1] - e.t[0])
-        below = watch.at_once & (point.zero < -width)
-        if k and below.any():
-            return k, model.events[int(np.argmax(below))]
+        waits &= point.zero < -width
+        below = np.flatnonzero(watch.at_once & (point.zero < -width) & ~waits)
+        if below.size:
+            jump = np.array(ca.DM(change(point.t, point.x, point.z, watch.inputs(point.t), e.p)))
+            late = [i for i in below if np.abs(jump[:, i]).max() > _BEYOND]
+            if late:
+                return k, model.events[int(late[0])]
     return None
 
 

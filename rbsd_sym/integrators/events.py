@@ -22,15 +22,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from ..casadi_events import BAND, CLOSE, CROWD, INSTANT, Happened
 from ..model import Model
 from ..trajectory import Experiment, Outcome
 from .driver import input_values
+from .signals import is_constant
 
 _CROWDS = ((CROWD, CLOSE), (30, 1e-6), (1000, 1e-4))  # instants, and their share of a run
 _FOUND = 1e-9  # a function that does not jump is nearer to zero where it was found to cross it
+_DIFFERENCE = 1e-7  # of the run, for the rate of an input
 _AT_ONCE = 1000
 _DEPTH = 6  # halvings in search of a crossing that the ends do not show
 _REFINED = 150  # looks in search of one crossing
@@ -117,15 +120,14 @@ class Watch:
         self.instant = INSTANT * float(e.t[-1] - e.t[0]) + 4 * np.finfo(float).eps * abs(e.t[-1])
         self.armed = np.zeros(len(events), bool)
         self.at_once = np.array([event.at_once for event in events], bool)
+        self._driven = not all(is_constant(signal) for signal in e.inputs)
         self._instants: list[float] = []
         self._floor = np.zeros(len(events))
         self._functions = tuple(self.model.function(f) for f in ("zero", "zero_rate", "jump"))
 
     def look(self, t: float, x: np.ndarray, z: np.ndarray) -> Point:
         """The point with its functions and rates."""
-        given = (t, x, z, self.inputs(t), self.experiment.p)
-        zero, rate = (np.array(f(*given)).reshape(-1) for f in self._functions[:2])
-        return Point(t, x, z, zero, np.where(np.isfinite(rate), rate, 0.0))
+        return self.look_at(np.array([t]), x[None, :], z[None, :])[0]
 
     def look_at(self, t: np.ndarray, x: np.ndarray, z: np.ndarray) -> list[Point]:
         """Points at times (n,), states (n, n_x) and unknowns (n, n_z)."""
@@ -135,8 +137,21 @@ class Watch:
         p = np.repeat(self.experiment.p[:, None], len(t), axis=1)
         values = [np.array(f(t[None, :], x.T, z.T, u, p)) for f in self._functions[:2]]
         zero, rate = (np.reshape(v, (-1, len(t))).T for v in values)
+        if self._driven:
+            rate = rate + self._by_inputs(t, x, z, u, p)
         rate = np.where(np.isfinite(rate), rate, 0.0)
         return [Point(float(t[k]), x[k], z[k], zero[k], rate[k]) for k in range(len(t))]
+
+    def _by_inputs(
+        self, t: np.ndarray, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray
+    ) -> np.ndarray:
+        """What moving inputs add to the rates, by differences."""
+        step = _DIFFERENCE * float(self.experiment.t[-1] - self.experiment.t[0])
+        inputs = self.experiment.inputs
+        moves = (input_values(inputs, t + step) - input_values(inputs, t - step)) / (2 * step)
+        slope = np.array(ca.DM(self.model.function("dzero_du")(t[None, :], x.T, z.T, u, p)))
+        slope = slope.reshape(len(self.armed), len(t), len(u))
+        return np.einsum("eku,uk->ke", slope, moves)
 
     def begin(self, t: float, x: np.ndarray, z: np.ndarray) -> Point:
         """The first point, after what fires there at once.
@@ -167,7 +182,7 @@ class Watch:
 
     def crossing(self, b: Point) -> bool:
         """Whether an event has fired before a point, as far as it shows."""
-        return bool((self.armed & (b.zero < 0)).any())
+        return bool((self.armed & (b.zero < -self._floor)).any())
 
     def hidden(self, a: Point, b: Point) -> float | None:
         """A time between at which a function may have crossed zero and come back, if any.
