@@ -236,7 +236,8 @@ class Watch:
         self._instants.append(point.t)
         first = self.armed & (point.zero <= self._width(point))
         found = first & (np.abs(point.zero) <= _FOUND)
-        self._floor[found] = 2 * np.abs(point.zero[found])
+        excess = 2 * (np.abs(point.zero[found]) - self._floor[found])
+        self._floor[found] = np.maximum(self._floor[found], excess)
         point = self._cascade(point, list(np.flatnonzero(first & (point.zero < 0))))
         run = float(self.experiment.t[-1] - self.experiment.t[0])
         for count, share in _CROWDS:
@@ -281,7 +282,7 @@ class Watch:
 
     def _width(self, point: Point) -> np.ndarray:
         """What counts as zero: some instants of its motion, and the rounding at its last event."""
-        return np.maximum(BAND * self.instant * np.abs(point.rate), self._floor)
+        return np.maximum(BAND * self.instant * np.abs(point.rate), 2 * self._floor)
 
     def _above(self, point: Point) -> np.ndarray:
         """Events whose function is above zero, or on it and not about to fall."""
