@@ -28,7 +28,8 @@ _QUIET = """#if defined(__GNUC__)
 
 def assembles(model: Model, name: str) -> bool:
     """Whether the function of that name is written as loops."""
-    return model.kernels and name not in model.dae.outputs
+    own = ("zero", "zero_rate", "jump", "post_newton")
+    return model.kernels and name not in (*model.dae.outputs, *own) and "zero_d" not in name
 
 
 def stub(model: Model, name: str, symbol: str, with_pattern: bool = False) -> ca.Function:

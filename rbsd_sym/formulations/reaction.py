@@ -254,7 +254,9 @@ class Reaction:
         """(zero function, change of velocities and own states) of a user's event."""
         n, relative = self.kind.n_data, self._sight.response.relative
         block = self._user("events")[first : first + 7 + n]
-        own = ca.vertcat(block[7:] - self.own[:n], ca.SX.zeros(self.n_own - n))
+        own = ca.SX.zeros(self.n_own)
+        if n:
+            own[:n] = block[7:] - self.own[:n]
         jump = ca.vertcat(self._impulse(block[1:7], relative), own)
         return kernel("event", self.x, self.c, block[0], jump, z=self.z)
 
