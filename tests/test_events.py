@@ -635,7 +635,7 @@ def check_relay(form: str, method: str) -> None:
     assert "events up to t = 3.348" in found.report
 
 
-@by_method(*METHODS, why=SLIDES)
+@by_method(*CASADI, why=SLIDES)
 @pytest.mark.parametrize("form", ["two at once", "both ways"])
 def test_a_relay_without_hysteresis(form: str, method: str) -> None:
     check_relay(form, method)

@@ -233,19 +233,28 @@ class Watch:
         Raises:
             EventsDoNotEnd, Stopped, Inconsistent: see there.
         """
-        self._instants.append(point.t)
+        self.armed |= self._above(point)  # also what has just come up, and may turn back
         first = self.armed & (point.zero <= self._width(point))
         found = first & (np.abs(point.zero) <= _FOUND)
         excess = 2 * (np.abs(point.zero[found]) - self._floor[found])
         self._floor[found] = np.maximum(self._floor[found], excess)
         point = self._cascade(point, list(np.flatnonzero(first & (point.zero < 0))))
+        self.count(point.t)
+        return point
+
+    def count(self, t: float) -> None:
+        """Count an instant at which something happened.
+
+        Raises:
+            EventsDoNotEnd: too many, too close.
+        """
+        self._instants.append(t)
         run = float(self.experiment.t[-1] - self.experiment.t[0])
         for count, share in _CROWDS:
             recent = self._instants[-count:]
             if len(recent) == count and recent[-1] - recent[0] <= share * run:
                 how = f"the last {count} within {recent[-1] - recent[0]:.3g} s"
-                raise self._endless(point.t, how)
-        return point
+                raise self._endless(t, how)
 
     def _cascade(self, point: Point, due: list[int]) -> Point:
         """Fire what is due, in order, until nothing is."""
@@ -257,10 +266,9 @@ class Watch:
         raise self._endless(point.t, f"{_AT_ONCE} of them at once")
 
     def _endless(self, t: float, how: str) -> EventsDoNotEnd:
-        return EventsDoNotEnd(
-            t, f"{len(self.happened)} events up to t = {t:.9g} s, {how}, the last "
-            f"'{self.happened[-1].name}'",
-        )  # fmt: skip
+        last = f", the last '{self.happened[-1].name}'" if self.happened else " (changes of data)"
+        number = len(self.happened) or len(self._instants)
+        return EventsDoNotEnd(t, f"{number} events up to t = {t:.9g} s, {how}{last}")
 
     def _fired(self, point: Point, i: int) -> Point:
         t, x = point.t, point.x

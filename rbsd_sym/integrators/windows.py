@@ -209,6 +209,8 @@ class Walk:
             if said.error <= self.post.tolerance or close:
                 changed = bool((said.x != target.x).any())
                 if changed:
+                    if target is not b:
+                        self.watch.count(target.t)
                     return self.watch.look(target.t, said.x, target.z)
                 if target is b:
                     return None
