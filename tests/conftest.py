@@ -21,3 +21,16 @@ def library_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RBSD_SYM_CACHE", str(folder))
         yield folder
+
+
+# Batteries of hundreds of cases: an ordinary run takes every third one, `-m ""` all of them.
+_LONG = ("test_effects", "test_events", "test_generalized_alpha", "test_data_states")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for name in _LONG:
+        battery = [item for item in items if item.path.stem == name]
+        for i, item in enumerate(battery):
+            if i % 3:
+                item.add_marker(pytest.mark.slow)
