@@ -44,6 +44,10 @@ class Law(Protocol):
         ...
 
 
+def _weightless(relative: Relative, axis: int) -> ca.SX:
+    raise ValueError("an impulse needs bodies; give SpringDamper(gives=...)")
+
+
 class SpringDamper(NamedTuple):
     """What a connector is made of, beside its law.
 
@@ -59,12 +63,12 @@ class SpringDamper(NamedTuple):
     damping: ca.SX
     offset: ca.SX
     velocity_offset: ca.SX
-    user_force: Any
-    effects: tuple[Effect, ...]
-    own: ca.SX
-    unknown: ca.SX
-    n_data: int
-    gives: Callable[[Relative, int], ca.SX]
+    user_force: Any = None
+    effects: tuple[Effect, ...] = ()
+    own: ca.SX = ca.SX(0, 1)
+    unknown: ca.SX = ca.SX(0, 1)
+    n_data: int = 0
+    gives: Callable[[Relative, int], ca.SX] = _weightless
 
 
 class Response(NamedTuple):
