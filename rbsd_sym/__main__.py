@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 import rbsd_sym as rs
+from rbsd_sym.files import write_whole
 
 _EPILOG = """
 MODEL is a Python file that defines scene(); it may define T_END (s), COLUMNS (names to plot) and
@@ -124,7 +125,7 @@ def _finish(options: argparse.Namespace, trajectory: rs.Trajectory, columns: Any
     if len(trajectory.t) > 1:
         figure = rs.plots.trajectory(trajectory, list(chosen))
         picture = folder / f"{trajectory.name}.png"
-        _whole(picture, lambda path: figure.savefig(path, dpi=120, format="png"))
+        _draw(figure, picture)
         print(f"wrote {picture}")
     print(f"wrote {trajectory.save(folder / f'{trajectory.name}.npz')}")
     counts = ", ".join(
@@ -152,21 +153,18 @@ def _chart(options: argparse.Namespace) -> None:
             model, rivals, t_end, repeats=options.repeats, inputs=inputs
         )
     figure = rs.plots.work_precision(table, f"{model.name}, {t_end:g} s")
-    _whole(folder / f"{model.name}.png", lambda path: figure.savefig(path, dpi=110, format="png"))
+    _draw(figure, folder / f"{model.name}.png")
     command = f"python -m rbsd_sym chart {options.model}"
     note = f"`{command}` on {platform.machine()}, {os.cpu_count()} cores, {rs.__version__}\n\n"
     text = f"# {model.name}: error against CPU time\n\n{note}{table.to_markdown()}"
-    _whole(folder / f"{model.name}.md", lambda path: path.write_text(text))
+    write_whole(folder / f"{model.name}.md", lambda file: file.write(text.encode()), "chart")
     table.to_csv(folder / f"{model.name}.csv")
     print(table)
     print(f"wrote {folder / model.name}.png, .md and .csv")
 
 
-def _whole(target: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all."""
-    unfinished = target.with_suffix(".part")
-    write(unfinished)
-    unfinished.replace(target)
+def _draw(figure: Any, path: Path) -> None:
+    write_whole(path, lambda file: figure.savefig(file, dpi=110, format="png"), "figure")
 
 
 def _settings(pairs: list[str]) -> dict[str, float]:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any, Union
 from zipfile import BadZipFile
 
 import numpy as np
+
+from .files import write_whole
 
 _FORMAT = 1
 
@@ -166,21 +168,8 @@ class Trajectory:
             f"column_{i}": c.values for i, c in enumerate(self.columns.values())
         }
         arrays |= {"header": np.array(json.dumps(header)), "t": self.t}
-        try:
-            handle, temporary = tempfile.mkstemp(dir=target.parent, suffix=".part")
-        except OSError as error:
-            raise ValueError(
-                f"trajectory '{self.name}': cannot write to {target.parent} ({error.strerror}); "
-                "make the folder, or choose another"
-            ) from error
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **arrays)
-            os.replace(temporary, target)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-        return target
+        write = partial(np.savez_compressed, allow_pickle=False, **arrays)
+        return write_whole(target, write, f"trajectory '{self.name}'")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Trajectory:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "rbsd_sym"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = (
-    {"zeros", "version", "spectra", "reduction", "newton", "tableau", "parts"},
+    {"zeros", "version", "spectra", "reduction", "newton", "tableau", "parts", "files"},
     {"rotation", "dae", "trajectory", "symbols"},
     {"mechanics", "checks", "kernels"},
     {"laws", "sensors", "user_functions", "assembly"},
@@ -25,10 +25,12 @@ FLOORS = (
     {"formulations"},
     {"minimal", "model"},
     {"casadi_events"},
-    {"exports", "integrators", "in_plane"},
+    {"exports", "integrators", "in_plane", "linear"},
     {"pipeline"},
-    {"ocp", "study"},
-    {"plots", "__main__"},
+    {"ocp", "study", "sensitivity"},
+    {"plots"},
+    {"atlas"},
+    {"__main__"},
 )
 FLOOR = {unit: i for i, units in enumerate(FLOORS) for unit in units}
 

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..files import write_whole
 from ..model import Model
 from ..scene import Scene
 from ..symbols import is_number
 from ..trajectory import Trajectory
-from .motion_files import Palette, sampled, write_gif, write_page, write_whole
+from .motion_files import Palette, sampled, write_gif, write_page
 from .motion_stage import Film, Stage
 from .motion_track import Source, track
 from .shapes import Drawing, drawing_of
@@ -95,7 +96,7 @@ def animate(
         else:
             write_page(file, film.pictures(), palette, fps, clocks, f"{stage.name}: motion")
 
-    return write_whole(target, write)
+    return write_whole(target, write, "animate")
 
 
 def snapshot(

@@ -8,9 +8,7 @@ import io
 import json
 import os
 import re
-import tempfile
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,30 +20,6 @@ _COLOURS = 96  # of all pictures of a file together
 _FIXED = ("#FFFFFF", *COLOURS)
 _WEIGHT = 0.5  # of a colour in the palette: its number of pixels to this power
 _SAMPLES = 8  # pictures that the palette is made from
-
-
-def write_whole(path: Path, write: Callable[[IO[bytes]], None]) -> Path:
-    """Write a file by a temporary one in the same folder.
-
-    Raises:
-        ValueError: the folder cannot be written to.
-    """
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    except OSError as error:
-        raise ValueError(
-            f"animate: cannot write to {path.parent} ({error.strerror}); make the folder, or "
-            "choose another"
-        ) from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-        os.replace(temporary, path)
-    except BaseException:
-        with suppress(FileNotFoundError):
-            os.unlink(temporary)
-        raise
-    return path
 
 
 class Palette:

@@ -15,6 +15,8 @@ from typing import Any, Union
 import casadi as ca
 import numpy as np
 
+from ..files import write_whole
+
 Cell = Union[float, str, tuple, None]
 
 
@@ -142,18 +144,8 @@ class Table:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self._titles())
         writer.writerows([_in_csv(cell) for cell in row] for row in self.rows)
-        temporary = target.with_name(f"{target.name}.{os.getpid()}.part")
-        try:
-            temporary.write_bytes(text.getvalue().encode(errors="backslashreplace"))
-            os.replace(temporary, target)
-        except OSError as error:
-            raise ValueError(
-                f"table: cannot write {target} ({error.strerror}); make the folder, or choose "
-                "another file"
-            ) from error
-        finally:
-            temporary.unlink(missing_ok=True)
-        return target
+        data = text.getvalue().encode(errors="backslashreplace")
+        return write_whole(target, lambda file: file.write(data), "table")
 
     def to_markdown(self) -> str:
         """The table as Markdown, numbers to six digits."""

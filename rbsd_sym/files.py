@@ -1,0 +1,33 @@
+"""Writing a file whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], object], who: str) -> Path:
+    """Write a file by a temporary one in the same folder, which must exist.
+
+    Arguments:
+        write: gets the open file.
+        who: begins the error message.
+
+    Raises:
+        ValueError: the file cannot be written.
+    """
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with open(temporary, "wb") as file:
+            write(file)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise ValueError(
+            f"{who}: cannot write to {path.parent} ({error.strerror}); make the folder, or choose "
+            "another"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path

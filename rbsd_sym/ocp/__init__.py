@@ -1,0 +1,1 @@
+"""Optimal control on the same model."""
