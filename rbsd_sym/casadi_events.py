@@ -1,9 +1,9 @@
 """Events for CasADi's one-step methods, which locate crossings on their dense output.
 
 CasADi fires one event where its function falls through zero, from + to - only. The transition does
-the rest: it solves the algebraic unknowns again, and fires what else is due at that instant (see
-`integrators.events` for the rules; here each event fires at most once at one instant). Since CasADi
-tells nothing about events, extra states without rate keep a record of them.
+the rest: it solves the algebraic unknowns again, and fires what else is due at that instant, by the
+rules of `integrators.events`, but 64 events at one instant count as endless. Since CasADi tells
+nothing about events, extra states without rate keep a record of them.
 """
 
 from __future__ import annotations
@@ -29,15 +29,17 @@ RECORD = 64  # events remembered between two output times, the last ones
 _SEARCH = 500  # looks for one event
 _MOST = 10_000  # events in a run
 _NEWTON = 4  # steps for the unknowns after an event
-_PASSES = 2  # over all events, for those that others set off
+_NEST, _DEPTH = 8, 2  # at most _NEST ** _DEPTH events at one instant
 NEVER = 1e300
 _NOISE = 1e-25
 
 
 # The extra states: count of events, first time at which one stops the run, first time at which they
-# follow each other without end, then times and indices of the last ones.
-N_EXTRA = 3 + 2 * RECORD
-_TIMES, _WHICH = slice(3, 3 + RECORD), slice(3 + RECORD, N_EXTRA)
+# follow each other without end; times and indices of the last ones; and of each event, the time
+# at which it was last seen spent: fired, and not above zero since; 0 where it is not.
+_TIMES, _WHICH = slice(3, 3 + RECORD), slice(3 + RECORD, 3 + 2 * RECORD)
+_SPENT = slice(3 + 2 * RECORD, None)
+_TINY = 1e-300  # stands for the time 0
 
 
 class Happened(NamedTuple):
@@ -56,13 +58,23 @@ class Recorded(NamedTuple):
     t_endless: float
 
 
-def extra_start() -> np.ndarray:
-    """Start values of the extra states."""
-    return np.array([0.0, NEVER, NEVER] + [0.0] * (2 * RECORD))
+def n_extra(model: Model) -> int:
+    """Number of extra states."""
+    return 3 + 2 * RECORD + len(model.events)
+
+
+def extra_start(model: Model, armed: np.ndarray, t: float) -> np.ndarray:
+    """Start values of the extra states, after what happened at the start.
+
+    Arguments:
+        armed: whether each event would fire as it falls.
+    """
+    spent = np.where(armed, 0.0, t or _TINY)
+    return np.concatenate([[0.0, NEVER, NEVER], np.zeros(2 * RECORD), spent])
 
 
 def recorded(model: Model, extra: np.ndarray, before: Sequence[Happened]) -> Recorded:
-    """The record in the extra states (n, N_EXTRA) at the output times, after what was before.
+    """The record in the extra states (n, n_extra) at the output times, after what was before.
 
     Of more than `RECORD` events between two output times the first ones are lost.
     """
@@ -73,6 +85,11 @@ def recorded(model: Model, extra: np.ndarray, before: Sequence[Happened]) -> Rec
         found += [Happened(float(times[k]), model.events[int(which[k])]) for k in slots]
         told = count
     return Recorded(told + len(before), tuple(found), float(extra[-1, 1]), float(extra[-1, 2]))
+
+
+def ready(extra: np.ndarray) -> np.ndarray:
+    """Whether each event would fire as it falls (n, events), from the extra states (n, n_extra)."""
+    return extra[:, _SPENT] == 0
 
 
 def tidy(model: Model, x: Any) -> Any:
@@ -97,7 +114,7 @@ def add_events(
         instant: times closer than this (s) are one.
     """
     t, x, z, p = (dae[key] for key in "txzp")
-    extra = ca.MX.sym("record", N_EXTRA)
+    extra = ca.MX.sym("record", n_extra(model))
     given = ca.Function("given", [t, x, z, p], list(arguments))
     cascade = _cascade(model)
     index, w = ca.MX.sym("index"), ca.vertcat(x, extra)
@@ -108,50 +125,95 @@ def add_events(
     )  # fmt: skip
     over = ca.fmin(extra[1], extra[2]) < NEVER  # then events are off: what follows is no matter
     zero = ca.if_else(over, 1, model.function("zero")(*given(t, x, z, p)))
-    ode = ca.vertcat(dae["ode"], ca.MX.zeros(N_EXTRA))
+    ode = ca.vertcat(dae["ode"], ca.MX.zeros(n_extra(model)))
     return {**dae, "x": w, "ode": ode, "zero": zero}, transition
 
 
 def _cascade(model: Model) -> ca.Function:
-    """(index, t, x, z, u, p, extra, instant) -> x, z, extra after an event and all that is due."""
+    """(index, t, x, z, u, p, extra, instant) -> x, z, extra after an event and all that is due.
+
+    A negative index is none.
+    """
     symbols, index = _symbols(model), ca.MX.sym("index")
-    state = _fire(model)(index, *symbols)
-    fired = [index == j for j in range(len(model.events))]
-    state = _passes(model, symbols, state, fired, _PASSES if len(fired) > 1 else 0)
-    return ca.Function("cascade", [index, *symbols], state)
+    t, x, z, u, p, extra, instant = symbols
+    zero, width, falls, above = _seen(model)(t, x, z, u, p, instant)
+    found = index == ca.DM(range(len(model.events)))
+    spent = extra[_SPENT]
+    fresh = ca.logic_or(spent == 0, t - spent > BAND * instant)
+    fallen = ca.logic_and(falls, fresh)
+    waits = ca.logic_and(_at_once(model), spent == 0)
+    armed = ca.logic_or(ca.logic_or(above, fallen), ca.logic_or(waits, found))
+    below = ca.logic_and(waits, zero < -width)
+    due = _first(ca.logic_or(found, ca.logic_or(fallen, below)))
+    armed, due, x, z, extra = _repeated(model)(armed, due, *symbols)
+    over = due >= 0  # more than may happen at one instant
+    spent = ca.if_else(armed, 0, ca.if_else(t == 0, _TINY, t))
+    extra = ca.vertcat(
+        extra[:2], ca.if_else(over, ca.fmin(extra[2], t), extra[2]), extra[3 : _SPENT.start], spent
+    )
+    return ca.Function("cascade", [index, *symbols], [x, z, extra])
 
 
 def begin(model: Model) -> ca.Function:
-    """(t, x, z, u, p, extra, instant) -> x, consistent z, extra after what fires at the start."""
+    """(t, x, z, u, p, extra, instant) -> x, consistent z, extra after what fires there by itself."""
     symbols = _symbols(model)
-    t, x, z, u, p, extra, _ = symbols
-    state = [x, _settled(model, t, x, z, u, p), extra]
-    state = _passes(model, symbols, state, [ca.MX(0)] * len(model.events), _PASSES)
-    return ca.Function("begin", symbols, state)
+    t, x, z, u, p, extra, instant = symbols
+    z = _settled(model, t, x, z, u, p)
+    return ca.Function("begin", symbols, _cascade(model)(-1, t, x, z, u, p, extra, instant))
 
 
 def _symbols(model: Model) -> list[ca.MX]:
     sizes = {"t": 1, "x": model.n_x, "z": model.n_z, "u": model.n_u, "p": model.n_p,
-             "extra": N_EXTRA, "instant": 1}  # fmt: skip
+             "extra": n_extra(model), "instant": 1}  # fmt: skip
     return [ca.MX.sym(name, n) for name, n in sizes.items()]
 
 
-def _passes(
-    model: Model, symbols: list[ca.MX], state: Sequence[ca.MX], fired: list[Any], count: int
-) -> list[ca.MX]:
-    """The state (x, z, extra) after all events in order, each if it is due and has not fired."""
-    t, u, p, instant = symbols[0], symbols[3], symbols[4], symbols[-1]
-    fire, due = _fire(model), _due(model)
-    x, z, extra = state
-    for _ in range(count):
-        for j in range(len(fired)):
-            now = ca.logic_and(due(t, x, z, u, p, instant)[j], ca.logic_not(fired[j]))
-            after = fire(j, t, x, z, u, p, extra, instant)
-            x, z, extra = (
-                ca.if_else(now, new, old) for new, old in zip(after, (x, z, extra), strict=True)
-            )
-            fired[j] = ca.logic_or(fired[j], now)
-    return [x, z, extra]
+def _at_once(model: Model) -> ca.DM:
+    return ca.DM([float(event.at_once) for event in model.dae.events])
+
+
+def _first(due: ca.MX) -> ca.MX:
+    """Index of the first that is not 0, -1 if none is."""
+    index = ca.MX(-1)
+    for j in reversed(range(due.numel())):
+        index = ca.if_else(due[j], j, index)
+    return index
+
+
+def _repeated(model: Model) -> ca.Function:
+    """(armed, due, t, x, z, u, p, extra, instant) -> armed, due, x, z, extra once nothing is due.
+
+    Or after _NEST ** _DEPTH events; `due` is the index of the next one, -1 if there is none.
+    """
+    symbols, n = _symbols(model), len(model.events)
+    t, x, z, u, p, extra, instant = symbols
+    armed, due = ca.MX.sym("armed", n), ca.MX.sym("due")
+    inputs = [armed, due, *symbols]
+    idle = ca.Function("idle", inputs, [armed, due, x, z, extra])
+    step = ca.Function.if_else("step", _one(model), idle)
+    step = ca.Function("next", inputs, step(due >= 0, *inputs))
+    for _ in range(_DEPTH):
+        state = [armed, due, x, z, extra]
+        for _ in range(_NEST):
+            state = step(*state[:2], t, *state[2:4], u, p, state[4], instant)
+        step = ca.Function("next", inputs, state)
+    return step
+
+
+def _one(model: Model) -> ca.Function:
+    """As `_repeated`, after one event."""
+    symbols, n = _symbols(model), len(model.events)
+    t, x, z, u, p, extra, instant = symbols
+    armed, due = ca.MX.sym("armed", n), ca.MX.sym("due")
+    x, z, extra = _fire(model)(due, *symbols)
+    zero, width, falls, above = _seen(model)(t, x, z, u, p, instant)
+    own, below = due == ca.DM(range(n)), zero < -width
+    kept = ca.logic_and(armed, ca.logic_not(own))
+    now = ca.logic_or(above, ca.logic_and(kept, ca.logic_or(_at_once(model), zero >= -width)))
+    next_one = ca.logic_and(now, ca.logic_or(falls, ca.logic_and(_at_once(model), below)))
+    goes_on = extra[1] >= NEVER
+    following = ca.if_else(goes_on, _first(next_one), -1)
+    return ca.Function("one", [armed, due, *symbols], [now, following, x, z, extra])
 
 
 def _settled(model: Model, t: Any, x: Any, z: Any, u: Any, p: Any) -> ca.MX:
@@ -181,19 +243,20 @@ def _fire(model: Model) -> ca.Function:
         ca.if_else(endless, ca.fmin(extra[2], t), extra[2]),
         ca.if_else(slot, t, extra[_TIMES]),
         ca.if_else(slot, index, extra[_WHICH]),
+        extra[_SPENT],
     )
     return ca.Function("fire", [index, *symbols], [after, unknown, record])
 
 
-def _due(model: Model) -> ca.Function:
-    """(t, x, z, u, p, instant) -> which events fire now."""
+def _seen(model: Model) -> ca.Function:
+    """(t, x, z, u, p, instant) -> zero, its width, whether it falls there, whether it is above."""
     t, x, z, u, p, _, instant = _symbols(model)
-    zero, rate = (model.function(f)(t, x, z, u, p) for f in ("zero", "zero_rate"))
+    zero, rate = (ca.densify(model.function(f)(t, x, z, u, p)) for f in ("zero", "zero_rate"))
     width = BAND * instant * ca.fabs(rate)
-    falls = ca.logic_and(ca.fabs(zero) <= width, rate < 0)
-    at_once = ca.DM([float(event.at_once) for event in model.dae.events])
-    beyond = ca.logic_and(zero < -width, at_once > 0)
-    return ca.Function("due", [t, x, z, u, p, instant], [ca.logic_or(falls, beyond)])
+    within = ca.fabs(zero) <= width
+    falls = ca.logic_and(within, rate < 0)
+    above = ca.logic_or(zero > width, ca.logic_and(within, rate >= 0))
+    return ca.Function("seen", [t, x, z, u, p, instant], [zero, width, falls, above])
 
 
 def integrator(

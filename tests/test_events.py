@@ -35,11 +35,7 @@ CASADI = ("rosenbrock", "explicit")
 WATCHED = ("idas", "dop853")
 # What the search of events does not do yet.
 LOOKS = "CasADi's methods look at the ends of steps only: a dip between them is not seen"
-BELOW = "an event at once that has fired and counts, and stays below zero, is told as missed"
-ONCE = "CasADi's methods fire each event once at one instant, and lose what is due after that"
-SLIDES = "a function that turns back at its own event is not seen to fall again"
 ROUNDED = "a function that rounding lifts above zero again fires again and again"
-JUMPED = "a function that another event has put below zero fires a moment later, without at_once"
 
 
 @pytest.fixture(autouse=True)
@@ -211,7 +207,7 @@ def test_a_start_on_zero_without_rate_counts_as_above(power: int, method: str) -
     np.testing.assert_allclose(times_of(found), [0], atol=1e-9)
 
 
-@by_method(*CASADI, why=BELOW)
+@by_method()
 def test_at_once_beyond_zero_at_the_start(method: str) -> None:
     """In the order of the list; without at_once it must come from the other side."""
     model = swing(
@@ -353,19 +349,12 @@ def test_two_balls_at_the_same_instant(method: str) -> None:
 
 
 @by_method()
-@pytest.mark.parametrize("restitution", [1.0, 0.5])
-def test_cradle_with_one_impact_of_each_pair(restitution: float, method: str) -> None:
-    check_cradle((1, 2, 1.5), restitution, method)
-
-
-@by_method()
-@pytest.mark.parametrize("balls", [3, 5])
-def test_cradle_of_equal_balls(balls: int, method: str) -> None:
-    """The last one leaves with all of the speed, the others stay in touch."""
-    check_cradle((1.0,) * balls, 1.0, method)
-
-
-def check_cradle(masses: tuple[float, ...], restitution: float, method: str) -> None:
+@pytest.mark.parametrize(("masses", "restitution"), [
+    ((1, 2, 1.5), 1.0), ((1, 2, 1.5), 0.5), ((1, 1, 1), 1.0), ((1, 1, 1, 1, 1), 1.0),
+    ((3, 1, 1), 1.0), ((1, 1, 1), 0.5), ((5, 1, 2, 1), 0.9),
+])  # fmt: skip
+def test_cradle(masses: tuple[float, ...], restitution: float, method: str) -> None:
+    """Impacts one after the other at one instant; of equal balls the last leaves with all speed."""
     v, order = exact.impacts_in_order(masses, [1] + [0] * (len(masses) - 1), restitution)
     found = run(cradle(masses, restitution), [0, 0.6, 1.5], method)
     assert found.outcome is rs.Outcome.reached_end
@@ -373,28 +362,6 @@ def check_cradle(masses: tuple[float, ...], restitution: float, method: str) -> 
     # Balls left in touch may meet again, with the velocities that rounding has left.
     assert [name[1] for _, name in found.events][: len(order)] == [str(i) for i in order]
     np.testing.assert_allclose(times_of(found)[: len(order)], 1, atol=EXACT)
-
-
-REPEATED = pytest.mark.parametrize(("masses", "restitution"), [
-    ((3, 1, 1), 1.0), ((1, 1, 1), 0.5), ((5, 1, 2, 1), 0.9),
-])  # fmt: skip
-
-
-@REPEATED
-@by_method(*CASADI, why=ONCE)
-def test_cradle_with_repeated_impacts(masses: Any, restitution: float, method: str) -> None:
-    check_cradle(masses, restitution, method)
-
-
-@REPEATED
-@by_method(among=CASADI)
-def test_casadi_tells_of_impacts_it_missed(masses: Any, restitution: float, method: str) -> None:
-    """Each event fires once at one instant; the run then ends, before balls are in each other."""
-    found = run(cradle(masses, restitution), [0, 0.6, 1.5], method)
-    assert found.outcome is rs.Outcome.solver_failed
-    assert "event 'c0.impact_x_hits' was missed before t = 1.5 s" in found.report
-    assert "use Idas() or Dop853()" in found.report
-    assert [name[1] for _, name in found.events] == [str(i) for i in range(len(masses) - 1)]
 
 
 def chained(s: Seen, links: int) -> list[rs.Event]:
@@ -420,13 +387,13 @@ def test_events_that_set_off_each_other(backwards: bool, method: str) -> None:
     np.testing.assert_allclose(times_of(found), 1, atol=EXACT)
 
 
-@by_method(*CASADI, why=ONCE)
+@by_method()
 def test_a_long_chain_against_the_order_of_the_list(method: str) -> None:
     found = run(ball(lambda s: chained(s, 8)[::-1], data=[0.0] * 8), [0, 0.7, 2], method)
     assert names_of(found) == [f"e{i}" for i in range(8)]
 
 
-@by_method(*WATCHED, why=JUMPED)
+@by_method()
 def test_a_jump_below_zero_is_no_crossing(method: str) -> None:
     model = ball(
         lambda s: [rs.Event(1 - s.t, data=[1.0], name="e0"), rs.Event(0.5 - s.data[0], name="e1")],
@@ -627,23 +594,14 @@ def relay(form: str) -> rs.Model:
     return rs.compile_scene(scene)
 
 
-def check_relay(form: str, method: str) -> None:
+@by_method()
+@pytest.mark.parametrize("form", RELAYS)
+def test_a_relay_without_hysteresis(form: str, method: str) -> None:
     found = run(relay(form), [0, 1, 2, 3, 4, 10], method)
     slides = 3 * np.sqrt(6) - 4
     assert found.outcome is rs.Outcome.endless_events
     assert found.stats["t_failed"] == pytest.approx(slides, abs=1e-6)
     assert "events up to t = 3.348" in found.report
-
-
-@by_method(*CASADI, why=SLIDES)
-@pytest.mark.parametrize("form", ["two at once", "both ways"])
-def test_a_relay_without_hysteresis(form: str, method: str) -> None:
-    check_relay(form, method)
-
-
-@by_method(*CASADI, why=ONCE)
-def test_a_relay_whose_events_exclude_each_other(method: str) -> None:
-    check_relay("guarded", method)
 
 
 @by_method()

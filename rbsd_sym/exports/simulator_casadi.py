@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..casadi_events import INSTANT, N_EXTRA, NEVER, RECORD, add_events, begin, tidy
+from ..casadi_events import INSTANT, NEVER, RECORD, add_events, begin, n_extra, tidy
 from ..casadi_events import integrator as with_events
 from ..model import Model
 from . import names
@@ -47,7 +47,7 @@ def casadi_text(model: Model, integrator: Any) -> str:
 
 def _event_marks(model: Model, text: str) -> dict[str, Any]:
     """Marks of the templates that differ for a model with events."""
-    upper, extra = names.constant(model.name, "sim"), N_EXTRA if model.events else 0
+    upper, extra = names.constant(model.name, "sim"), n_extra(model) if model.events else 0
     marks: dict[str, Any] = {
         "name": model.name, "NAME": upper, "N_X": model.n_x, "N_Z": model.n_z, "N_E": extra,
         "FIRST_Z": model.n_x + extra, "N_I": model.n_x + extra + model.n_z,

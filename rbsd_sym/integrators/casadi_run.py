@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from .. import casadi_events
-from ..casadi_events import CLOSE, CROWD, LEAST, Recorded, add_events, extra_start, recorded, tidy
+from ..casadi_events import CLOSE, CROWD, LEAST, Recorded, add_events, extra_start, ready, recorded, tidy
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
 from .checks import refuse_updates
@@ -58,9 +58,11 @@ def run_with_events(
     kept: list[Any] = []
     integrator = _integrator(model, experiment, plugin, options, watch.instant, kept)
     built = time.perf_counter()
-    whole = np.concatenate([experiment.x, extra_start()])
+    extra = extra_start(model, watch.armed, float(experiment.t[0]))
+    whole = np.concatenate([experiment.x, extra])
     result = call_integrator(integrator, replace(experiment, x=whole))
-    record = recorded(model, result.x[: _reached(result), model.n_x :], watch.happened)
+    extra = result.x[: _reached(result), model.n_x :]
+    record = recorded(model, extra, watch.happened)
     result = result._replace(x=result.x[:, : model.n_x].copy())
     if model.n_z:
         settle(model, experiment, result)
@@ -69,7 +71,7 @@ def run_with_events(
     stats: dict[str, float | str] = {"events": float(record.total)}
     stats |= {ours: float(result.stats.get(theirs, np.nan)) for ours, theirs in count.items()}
     stats |= {"time": time.perf_counter() - built, "time_build": built - started}
-    return _trajectory(model, experiment, result, judge, stats, record)
+    return _trajectory(watch, result, judge, stats, record, ready(extra))
 
 
 def _reached(result: Run) -> int:
@@ -105,24 +107,19 @@ def _integrator(
 
 
 def _missed(
-    model: Model, e: Experiment, x: np.ndarray, z: np.ndarray
-) -> tuple[int, str] | None:  # fmt: skip
-    """The first saved point at which an event that fires at once should have, and its name.
+    watch: Watch, x: np.ndarray, z: np.ndarray, ready: np.ndarray
+) -> tuple[int, str] | None:
+    """The first saved point before which an event should have fired, and its name.
 
-    One that would change nothing there has done what it does, and so has one that has been below
-    zero from the start.
+    Arguments:
+        ready: whether each event would fire as it falls, at each point (n, events).
     """
-    watch, change = Watch(model, e), model.function("jump")
-    waits = np.full(len(model.events), True)
-    for k, point in enumerate(watch.look_at(e.t[: len(x)], x, z)):
-        width = _BEYOND * (1 + np.abs(point.rate)) * (e.t[-1] - e.t[0])
-        waits &= point.zero < -width
-        below = np.flatnonzero(watch.at_once & (point.zero < -width) & ~waits)
-        if below.size:
-            jump = np.array(ca.DM(change(point.t, point.x, point.z, watch.inputs(point.t), e.p)))
-            late = [i for i in below if np.abs(jump[:, i]).max() > _BEYOND]
-            if late:
-                return k, model.events[int(late[0])]
+    t = watch.experiment.t
+    for k, point in enumerate(watch.look_at(t[: len(x)], x, z)):
+        width = _BEYOND * (1 + np.abs(point.rate)) * (t[-1] - t[0])
+        late = np.flatnonzero(ready[k] & (point.zero < -width))
+        if late.size:
+            return k, watch.model.events[int(late[0])]
     return None
 
 
@@ -133,9 +130,10 @@ def _longest(e: Experiment) -> float:
 
 
 def _trajectory(
-    model: Model, e: Experiment, result: Run, judge: Callable[[Run], Verdict],
-    stats: dict[str, float | str], record: Recorded,
+    watch: Watch, result: Run, judge: Callable[[Run], Verdict], stats: dict[str, float | str],
+    record: Recorded, armed: np.ndarray,
 ) -> Trajectory:  # fmt: skip
+    model, e = watch.model, watch.experiment
     n, last = _reached(result), min(record.t_stop, record.t_endless)
     if last <= e.t[n - 1]:
         n = int(np.searchsorted(e.t, last, side="right" if record.t_stop == last else "left"))
@@ -150,7 +148,7 @@ def _trajectory(
         stats["t_failed"] = last
         return assemble(model, e, result.x[:n], result.z[:n], outcome, report, stats, events)
     x, z = result.x[:n], result.z[:n]
-    missed = _missed(model, e, x, z)
+    missed = _missed(watch, x, z, armed)
     if missed is not None:
         n, outcome = missed[0], Outcome.solver_failed
         stats["t_failed"] = float(e.t[n])

@@ -8,7 +8,7 @@ The rules, for all integrators:
 - A function that is zero (to rounding) at the start, or after an event, counts on the side to which
   it moves; one that does not move counts as above.
 - An event that may fire `at_once` also does so where the start, or another event, leaves its
-  function below zero.
+  function below zero; any other one must have been above zero again before it can fire.
 - Events at one instant happen in the order of the model's list. After each the algebraic unknowns
   are solved again and all events looked at anew. An event that has fired must have been above zero
   again before it can fire once more.
@@ -71,6 +71,13 @@ class Inconsistent(Exception):
         self.t = t
 
 
+class Lost(Exception):
+    """The state could not be computed on the way to an event."""
+
+    def __init__(self, t: float) -> None:
+        self.t = t
+
+
 class End(NamedTuple):
     """How a walk ended: no outcome but a failed run if IDAS failed; the last point, if known."""
 
@@ -95,6 +102,13 @@ def guarded(go: Callable[[], Any]) -> Any:
     except Inconsistent as lost:
         outcome = Outcome.not_consistent
         return End(outcome, lost.t, f"{outcome.value} after an event at t = {lost.t:.9g} s")
+    except Lost as lost:
+        outcome = Outcome.solver_failed
+        report = (
+            f"{outcome.value} in search of an event before t = {lost.t:.9g} s; tighten the "
+            "tolerances, or look for a singularity there"
+        )
+        return End(outcome, lost.t, report)
 
 
 Advance = Callable[[Point, float], tuple[np.ndarray, np.ndarray] | None]
@@ -168,17 +182,31 @@ class Watch:
         self.armed |= point.zero > 0
 
     def search(self, a: Point, b: Point, advance: Advance, depth: int = _DEPTH) -> Point | None:
-        """The point of the first event between two points, if there is one."""
+        """The point of the first event between two points, if there is one.
+
+        Raises:
+            Lost: see there.
+        """
         if self.crossing(b):
             return self.locate(a, b, advance)
         between = self.hidden(a, b) if depth else None
-        state = advance(a, between) if between is not None else None
-        if between is None or state is None:
+        if between is None:
             self.pass_on(b)
             return None
-        middle = self.look(between, *state)
+        middle = self.reach(a, between, advance)
         found = self.search(a, middle, advance, depth - 1)
         return found if found is not None else self.search(middle, b, advance, depth - 1)
+
+    def reach(self, a: Point, t: float, advance: Advance) -> Point:
+        """The point at a time.
+
+        Raises:
+            Lost: the way there fails.
+        """
+        state = advance(a, t)
+        if state is None:
+            raise Lost(t)
+        return self.look(t, *state)
 
     def crossing(self, b: Point) -> bool:
         """Whether an event has fired before a point, as far as it shows."""
@@ -200,10 +228,13 @@ class Watch:
                 return a.t + s * (b.t - a.t)
         return None
 
-    def locate(self, a: Point, b: Point, advance: Advance) -> Point | None:
-        """The first point at which an armed event has crossed, to an instant; None if lost.
+    def locate(self, a: Point, b: Point, advance: Advance) -> Point:
+        """The first point at which an armed event has crossed, to an instant.
 
         [a, b] holds a crossing. The roots of cubics close in on it, halvings where they do not.
+
+        Raises:
+            Lost: see there.
         """
         left, right, guess = a, b, _first_root(a, b, self.armed)
         guess = guess if a.t < guess < b.t else (a.t + b.t) / 2
@@ -211,10 +242,7 @@ class Watch:
             width = right.t - left.t
             if width <= self.instant or not left.t < guess < right.t:
                 return right
-            state = advance(a, guess)
-            if state is None:
-                return None
-            point = self.look(guess, *state)
+            point = self.reach(a, guess, advance)
             if self.crossing(point):
                 right = point
             else:
@@ -282,7 +310,9 @@ class Watch:
         if not consistent:
             raise Inconsistent(t)
         above = self._above(after)
-        self.armed = self.armed | above
+        # What another event puts below zero has not fallen through it.
+        self.armed &= self.at_once | (after.zero >= -self._width(after))
+        self.armed |= above
         self.armed[i] = above[i]
         if self.model.dae.events[i].stops:
             raise Stopped(after, self.model.events[i])

@@ -217,10 +217,7 @@ class Walk:
                 last, target = target, b
                 continue
             middle = (last.t + target.t) / 2
-            state = self._advance(a, middle)
-            if state is None:
-                return None
-            target = self.watch.look(middle, *state)
+            target = self.watch.reach(a, middle, self._advance)
 
     def _advice(self, point: Point) -> Advice:
         u = input_values(self.experiment.inputs, np.array([point.t]))[:, 0]
