@@ -3,7 +3,7 @@
 The file to read first is `pipeline.py`.
 """
 
-from . import plots, study
+from . import atlas, ocp, plots, study
 from .elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
 from .exports import (
     Artefact,
@@ -42,9 +42,11 @@ from .laws import (
     Table,
     stops,
 )
+from .linear import EquilibriumError, linearize, static_equilibrium
 from .model import Model
 from .pipeline import IntegrationError, compile_scene, simulate
 from .scene import Scene
+from .sensitivity import sensitivity
 from .symbols import TIME, Input, Param, where
 from .trajectory import Outcome, Trajectory
 from .user_functions import Event
@@ -61,6 +63,7 @@ __all__ = [
     "Contact",
     "Cubic",
     "Dop853",
+    "EquilibriumError",
     "Event",
     "ExplicitRK",
     "Fracture",
@@ -93,14 +96,19 @@ __all__ = [
     "TaitBryan",
     "Trajectory",
     "__version__",
+    "atlas",
     "compile_scene",
     "compiled",
     "export_c",
     "export_simulator",
+    "linearize",
     "load_c",
     "load_simulator",
+    "ocp",
     "plots",
+    "sensitivity",
     "simulate",
+    "static_equilibrium",
     "stops",
     "study",
     "where",

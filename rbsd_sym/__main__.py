@@ -1,4 +1,4 @@
-"""The command line: python -m rbsd_sym info|run|export|chart MODEL."""
+"""The command line: python -m rbsd_sym info|run|export|chart|stability MODEL."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from rbsd_sym.files import write_whole
 
 _EPILOG = """
 MODEL is a Python file that defines scene(); it may define T_END (s), COLUMNS (names to plot) and
-INPUTS (name: number, function of t, or samples), which `run` uses.
+INPUTS (name: number, function of t, or samples), which `run` uses, and STABILITY, the arguments of
+`study.stability_map`: {"x": {name: values}, "y": {name: values}, ...}, perhaps with "make".
 
 examples:
   python -m rbsd_sym info models/mini.py                    states, cost, notes
@@ -28,6 +29,9 @@ examples:
   python -m rbsd_sym run models/mini.py --t-end 2 --columns body.position spring.force_local
   python -m rbsd_sym export models/engine_mounts.py         C code with header and model card
   python -m rbsd_sym chart models/mini.py                   speed against accuracy
+  python -m rbsd_sym stability models/engine_mounts.py      rest, eigenvalues, frequencies
+  python -m rbsd_sym stability models/kapitza.py            map of stability
+  python -m rbsd_sym stability --all                        the stability atlas
 """
 _INTEGRATORS = {"idas": rs.Idas, "rosenbrock": rs.Rosenbrock, "explicit": rs.ExplicitRK}
 
@@ -40,14 +44,16 @@ def main(arguments: list[str] | None = None) -> int:
         "run": _run,
         "export": _export,
         "chart": _chart,
+        "stability": _stability,
     }
     try:
         commands[options.command](options)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, rs.EquilibriumError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except rs.IntegrationError as error:
-        _finish(options, error.trajectory, None)
+        if options.command == "run":
+            _finish(options, error.trajectory, None)
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
@@ -60,15 +66,19 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="info|run|export|chart")
+    commands = parser.add_subparsers(
+        dest="command", required=True, metavar="info|run|export|chart|stability"
+    )
     for name, text in (
         ("info", "print the model: states, start values, cost, notes"),
         ("run", "integrate, and write generated/<name>/<name>.npz and .png"),
         ("export", "write C code to generated/<name>/"),
         ("chart", "error against time of every integrator: generated/charts/<name>.png, .md, .csv"),
+        ("stability", "map of stability, or rest and eigenvalues; --all: the stability atlas"),
     ):
         command = commands.add_parser(name, help=text, description=text)
-        command.add_argument("model", type=Path, help="Python file that defines scene()")
+        one = "?" if name == "stability" else None
+        command.add_argument("model", type=Path, nargs=one, help="Python file that defines scene()")
         command.add_argument(
             "--tait-bryan", action="store_true", help="Tait-Bryan xyz angles, not quaternions"
         )
@@ -83,6 +93,8 @@ def _parser() -> argparse.ArgumentParser:
         if name == "chart":
             command.add_argument("--t-end", type=float, help="end in s (default: T_END, or 1)")
             command.add_argument("--repeats", type=int, default=5, help="of each run (default 5)")
+        if name == "stability":
+            _stability_options(command)
     return parser
 
 
@@ -92,6 +104,15 @@ def _run_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance")
     command.add_argument("--atol", type=float, default=1e-10, help="absolute tolerance")
     command.add_argument("--columns", nargs="+", help="columns to plot (default: COLUMNS)")
+    command.add_argument(
+        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameter values"
+    )
+
+
+def _stability_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--all", action="store_true", help="remake the stability atlas")
+    command.add_argument("--page", type=int, help="remake one page of the atlas, by its number")
+    command.add_argument("--short", action="store_true", help="the atlas in its short form")
     command.add_argument(
         "--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameter values"
     )
@@ -161,6 +182,74 @@ def _chart(options: argparse.Namespace) -> None:
     table.to_csv(folder / f"{model.name}.csv")
     print(table)
     print(f"wrote {folder / model.name}.png, .md and .csv")
+
+
+def _stability(options: argparse.Namespace) -> None:
+    if options.all or options.page is not None:
+        _atlas(options)
+        return
+    if options.model is None:
+        raise ValueError("stability: no MODEL; give one, or --all for the stability atlas")
+    file, model = _compile(options)
+    if hasattr(file, "STABILITY"):
+        _map(options, model, dict(file.STABILITY))
+        return
+    inputs, params = getattr(file, "INPUTS", {}), _settings(options.set)
+    with _progress(f"looking for rest of {model.name}"):
+        rest = rs.static_equilibrium(model, None, inputs, params)
+    print(rest)
+    units = {label.name: label.unit for label in (*model.x_labels, *model.dae.z_labels)}
+    for name, value in rest.state.items():
+        print(f"  {name} = {value:.6g} {units[name]}".rstrip())
+    print(rs.linearize(model, rest.point))
+
+
+def _map(options: argparse.Namespace, model: rs.Model, asked: dict[str, Any]) -> None:
+    """Write the map that a model file asks for."""
+    try:
+        given = asked.pop("make", model), asked.pop("x"), asked.pop("y")
+    except KeyError as error:
+        raise ValueError(
+            f"{options.model}: STABILITY has no {error}; it needs 'x' and 'y', such as "
+            '{"x": {"stiffness": [1e3, 2e3]}, "y": {"damping": [1, 2]}}'
+        ) from error
+    asked["params"] = {**asked.get("params", {}), **_settings(options.set)}
+    folder = options.folder / "charts"
+    folder.mkdir(parents=True, exist_ok=True)
+    with _progress(f"mapping the stability of {model.name}"):
+        table = rs.study.stability_map(*given, **asked)
+    stem = folder / f"{model.name}_stability"
+    failed = sum(error is not None for error in table.column("error"))
+    if failed < len(table.rows):
+        _draw(rs.plots.stability_map(table, model.name), stem.with_suffix(".png"))
+    command = f"python -m rbsd_sym stability {options.model}"
+    text = f"# {model.name}: map of stability\n\n`{command}`, {rs.__version__}\n\n"
+    text += f"![{model.name}]({stem.name}.png)\n\n{table.to_markdown()}"
+    write_whole(stem.with_suffix(".md"), lambda file: file.write(text.encode()), "stability")
+    table.to_csv(stem.with_suffix(".csv"))
+    stable = sum(value is True for value in table.column("stable"))
+    print(f"{stable} of {len(table.rows)} points are stable, {failed} failed")
+    print(f"wrote {stem}.png, .md and .csv")
+
+
+def _atlas(options: argparse.Namespace) -> None:
+    """Remake pages of the atlas; one that fails does not stop the others."""
+    pages = [p for p in rs.atlas.pages() if options.page in (None, p.number)]
+    if not pages:
+        numbers = ", ".join(str(page.number) for page in rs.atlas.pages())
+        raise ValueError(f"stability --page {options.page}: no such page; there are: {numbers}")
+    folder = options.folder / "charts" / "atlas"
+    folder.mkdir(parents=True, exist_ok=True)
+    failed = []
+    for page in pages:
+        try:
+            with _progress(f"page {page.number}: {page.title}"):
+                rs.atlas.make(page, folder, full=not options.short)
+        except Exception as error:  # whatever fails on a page, the others are made
+            failed.append(f"{page.number} ({type(error).__name__}: {error})")
+    print(f"wrote {len(pages) - len(failed)} of {len(pages)} pages to {folder}")
+    if failed:
+        raise ValueError(f"stability: pages that failed: {'; '.join(failed)}")
 
 
 def _draw(figure: Any, path: Path) -> None:

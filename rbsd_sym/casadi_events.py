@@ -154,12 +154,13 @@ def _cascade(model: Model) -> ca.Function:
     return ca.Function("cascade", [index, *symbols], [x, z, extra])
 
 
-def begin(model: Model) -> ca.Function:
-    """(t, x, z, u, p, extra, instant) -> x, consistent z, extra after what fires there by itself."""
+def begin(model: Model, name: str) -> ca.Function:
+    """(t, x, z, u, p, extra, instant) -> x, consistent z, extra after what is due there."""
     symbols = _symbols(model)
     t, x, z, u, p, extra, instant = symbols
     z = _settled(model, t, x, z, u, p)
-    return ca.Function("begin", symbols, _cascade(model)(-1, t, x, z, u, p, extra, instant))
+    after = _cascade(model)(-1, t, x, z, u, p, extra, instant)
+    return ca.Function(name, symbols, [ca.densify(value) for value in after])
 
 
 def _symbols(model: Model) -> list[ca.MX]:

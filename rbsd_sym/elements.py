@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import checks
-from .laws import Effect, Law, Own, Standard
+from .laws import AXES, Effect, Law, Own, Standard
 from .symbols import Param, Scalar, check_identifier, is_number, leaves_of
 
 GROUND = "ground"
@@ -198,10 +198,17 @@ class RigidBodySpringDamper:
         stiffness = checks.matrix6(self.stiffness, f"{where}, stiffness")
         if self.law.needs_symmetric_stiffness:
             _check_symmetric(stiffness, f"{where}, stiffness")
+        effects = _effects(self.effects, where)
+        for effect in effects:
+            if self.force is not None and effect.needs_potential:
+                raise ValueError(
+                    f"{where}: {effect.label} breaks at an energy, but of a user force no energy "
+                    "is known; give a force or torque limit"
+                )
         _set(
             self,
             data=_data(self.data, where),
-            effects=_effects(self.effects, where),
+            effects=effects,
             stiffness=stiffness,
             damping=checks.matrix6(self.damping, f"{where}, damping"),
             offset=checks.vector6(self.offset, f"{where}, offset"),
@@ -230,9 +237,14 @@ class RigidBodySpringDamper:
 
 
 def _data(data: Any, where: str) -> np.ndarray:
-    count = 0 if is_number(data) else len(data)
     if is_number(data):
         raise ValueError(f"{where}, data: {data!r}; give a list of start values, such as [0.0]")
+    if data is None:
+        raise TypeError(f"{where}, data: None; give a list of start values, such as [0.0]")
+    count = len(data)
+    for value in data:
+        if isinstance(value, bool):
+            raise TypeError(f"{where}, data: {value} is bool; start values are plain numbers")
     values = checks.numbers(data, (count,), f"{where}, data") if count else np.zeros(0)
     if checks.is_symbolic(values):
         raise ValueError(f"{where}, data: {list(values)}; start values of data are plain numbers")
@@ -241,6 +253,8 @@ def _data(data: Any, where: str) -> np.ndarray:
 
 def _effects(effects: Any, where: str) -> tuple[Effect, ...]:
     """The effects, checked, with names that differ and those on the whole at the end."""
+    if not isinstance(effects, (Effect, Sequence)):
+        raise TypeError(f"{where}, effects: {effects!r}; give effects such as Contact(2, 1e5)")
     found = (effects,) if isinstance(effects, Effect) else tuple(effects)
     names: list[str] = []
     for effect in found:
@@ -256,6 +270,7 @@ def _effects(effects: Any, where: str) -> tuple[Effect, ...]:
                 f"{', '.join(names) or 'none'}"
             )
         names.append(effect.label)
+    _check_holds(found, where)
     wholes = [effect for effect in found if effect.whole]
     if wholes and (found[-len(wholes) :] != tuple(wholes) or any(e.unknowns for e in found)):
         raise ValueError(
@@ -263,6 +278,19 @@ def _effects(effects: Any, where: str) -> tuple[Effect, ...]:
             ", and friction that holds exactly belongs to a connector of its own"
         )
     return found
+
+
+def _check_holds(effects: Sequence[Effect], where: str) -> None:
+    holding: dict[int, str] = {}
+    for effect in effects:
+        axis = getattr(effect, "axis", -1)
+        if effect.unknowns and axis in holding:
+            raise ValueError(
+                f"{where}: {holding[axis]} and {effect.label} both hold the motion along "
+                f"'{AXES[axis]}', and nothing tells how they share the load; use smoothing"
+            )
+        if effect.unknowns:
+            holding[axis] = effect.label
 
 
 def _check_symmetric(matrix: np.ndarray, where: str) -> None:

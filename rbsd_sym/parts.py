@@ -29,11 +29,11 @@ class Label:
 
 
 @dataclass(frozen=True)
-class Part:
-    """One kernel instance: rows[i] += kernel(t, x[reads], z[reads_z], constants)[i].
+class Instance:
+    """One instance of a kernel: kernel(t, x[reads], z[reads_z], constants).
 
     Arguments:
-        kernel: Function (t, x, z, c) -> (ode rows, alg rows), shared by all instances of a kind.
+        kernel: Function (t, x, z, c) -> results, shared by all instances of a kind.
         constants: column over (t, u, p); plain numbers fold into the code.
     """
 
@@ -42,6 +42,16 @@ class Part:
     reads: tuple[int, ...]
     reads_z: tuple[int, ...]
     constants: ca.SX
+
+
+@dataclass(frozen=True)
+class Part(Instance):
+    """Adds to rates and equations.
+
+    Arguments:
+        kernel: gives (what is added to `ode_rows`, to `alg_rows`).
+    """
+
     ode_rows: tuple[int, ...]
     alg_rows: tuple[int, ...] = ()
 
@@ -122,7 +132,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Event:
+class Event(Instance):
     """A zero function, and what happens when it falls through zero.
 
     Arguments:
@@ -132,18 +142,13 @@ class Event:
         stops: ends the integration.
     """
 
-    name: str
-    kernel: ca.Function
-    reads: tuple[int, ...]
-    reads_z: tuple[int, ...]
-    constants: ca.SX
     rows: tuple[int, ...]
     at_once: bool = False
     stops: bool = False
 
 
 @dataclass(frozen=True)
-class Hold:
+class Hold(Instance):
     """A row of alg that holds a quantity where it is: alg[row] += weight d(value)/dt.
 
     Arguments:
@@ -151,16 +156,11 @@ class Hold:
             count as constant.
     """
 
-    name: str
-    kernel: ca.Function
-    reads: tuple[int, ...]
-    reads_z: tuple[int, ...]
-    constants: ca.SX
     alg_row: int
 
 
 @dataclass(frozen=True)
-class Update:
+class Update(Instance):
     """What is asked of data states after a step was solved.
 
     Arguments:
@@ -168,11 +168,6 @@ class Update:
         rows: the data states.
     """
 
-    name: str
-    kernel: ca.Function
-    reads: tuple[int, ...]
-    reads_z: tuple[int, ...]
-    constants: ca.SX
     rows: tuple[int, ...]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from .symbols import (
     TIME,
     Leaf,
+    Param,
     Scalar,
     check_identifier,
     is_number,
@@ -57,12 +58,18 @@ class Event:
     name: str = ""
 
     def __post_init__(self) -> None:
-        if self.direction not in _DIRECTIONS:
+        if not isinstance(self.direction, (int, np.integer)) or self.direction not in _DIRECTIONS:
             raise ValueError(
                 f"Event: direction {self.direction!r}; -1 falls, +1 rises, 0 is both ways"
             )
         if self.at_once and self.direction == 0:
-            raise ValueError("Event: at_once needs a direction, which tells the far side")
+            raise ValueError(
+                "Event: at_once needs a direction, which tells the far side; give two events, with "
+                "directions -1 and +1"
+            )
+        for title in ("at_once", "stop"):
+            if not isinstance(getattr(self, title), (bool, np.bool_)):
+                raise TypeError(f"Event: {title} {getattr(self, title)!r}; it is True or False")
         if self.name:
             check_identifier(self.name, "Event")
 
@@ -75,6 +82,7 @@ class TracedEvent:
     first: int
     at_once: bool
     stops: bool
+    throws: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +167,11 @@ def trace_force(
         ValueError: it does not return 6 numbers, or uses CasADi symbols that are no Param or Input.
     """
     call = _Call(f"connector '{name}', force", item, numbers, n_data)
+    if not n_data and _takes(force, 13) and not _takes(force, 12):
+        raise TypeError(
+            f"{call.where}: takes 13 arguments, data after item, but the connector has no data; "
+            "give data=[...], or leave the argument out"
+        )
     result = call(force, n_data > 0 and _takes(force, 13))
     rule = "6 numbers: force x y z, torque x y z"
     return call.traced(_numbers(result, 6, rule, call.where))
@@ -198,9 +211,11 @@ def trace_events(
         for sign in signs:
             ending = {-1: "_falls", 0: "", 1: "_rises"}[sign]
             rising = (sign or event.direction) > 0
-            traced.append(TracedEvent(label + ending, len(values), event.at_once, event.stop))
+            throws = event.impulse is not None
+            name = label + ending
+            traced.append(TracedEvent(name, len(values), event.at_once, event.stop, throws))
             values += [-block[0] if rising else block[0], *block[1:]]
-    names = [event.name for event in traced]
+    names = [one.name for one in traced]
     if len(set(names)) < len(names):
         raise ValueError(f"{call.where}: names {names}; give events different names")
     return call.traced(values, tuple(traced))
@@ -210,8 +225,15 @@ def _transition(event: Event, call: _Call, label: str) -> list[Any]:
     """Zero function, impulse and new data of an event."""
     where = f"{call.where}, '{label}'"
     zero = _numbers([event.zero], 1, "1 number", f"{where}, zero")
-    if not leaves_of(zero) and to_expr(zero[0]).is_constant():
-        raise ValueError(f"{where}, zero: {zero[0]} is constant and never crosses zero")
+    constant = not ca.symvar(to_expr(zero[0])) or (
+        leaves_of(zero) and all(isinstance(leaf, Param) for leaf in leaves_of(zero))
+        and not _moves(zero[0], call)
+    )  # fmt: skip
+    if constant:
+        raise ValueError(
+            f"{where}, zero: {zero[0]} is constant in time and never crosses zero; give an "
+            "expression of the motion, data, TIME or an Input"
+        )
     impulse = [0.0] * 6 if event.impulse is None else event.impulse
     data = list(to_array(call.data)) if call.n_data else []
     new = data if event.data is None else event.data
@@ -222,6 +244,12 @@ def _transition(event: Event, call: _Call, label: str) -> list[Any]:
         *_numbers(impulse, 6, rule, f"{where}, impulse"),
         *_numbers(new, call.n_data, count, f"{where}, data"),
     ]
+
+
+def _moves(value: Any, call: _Call) -> bool:
+    """Whether an expression depends on the motion or the data."""
+    known = ca.vertcat(call.strain, call.rate, *map(ca.vec, call.frames), call.data)
+    return bool(ca.depends_on(to_expr(value), known))
 
 
 def _takes(function: Callable[..., Any], count: int) -> bool:

@@ -37,7 +37,7 @@ def casadi_text(model: Model, integrator: Any) -> str:
     generator = ca.CodeGenerator(f"{model.name}_sim_casadi")
     generator.add(run)
     if model.events:
-        generator.add(_renamed(begin(model), f"{model.name}_sim_begin"))
+        generator.add(begin(model, f"{model.name}_sim_begin"))
     text = _at_run_time(str(generator.dump()), model.n_p + 2 * model.n_u + 2, bool(model.events))
     marks = simulator_marks(model, integrator) | _sizes(text, run.name(), "SZ") | {"N_Q": n_q}
     marks |= _event_marks(model, text)
@@ -65,11 +65,6 @@ def _event_marks(model: Model, text: str) -> dict[str, Any]:
         **{key: template(f"simulator_{key.lower()}.c", marks)
            for key in ("BEGIN", "WATCH", "TELL", "DUE")},
     }  # fmt: skip
-
-
-def _renamed(function: ca.Function, name: str) -> ca.Function:
-    symbols = function.mx_in()
-    return ca.Function(name, symbols, [ca.densify(r) for r in function(*symbols)])
 
 
 def _sizes(text: str, function: str, mark: str) -> dict[str, str]:

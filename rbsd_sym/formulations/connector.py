@@ -157,11 +157,13 @@ class ConnectorWriter:
         return found
 
     def _check_inertia(self) -> None:
-        effects = [effect for effect in self._effects if effect.impulsive]
+        traced = self.kind.functions.events
+        acting = [f"{e.label} stops or throws" for e in self._effects if e.impulsive]
+        acting += [f"{e.name} throws" for e in (traced.events if traced else ()) if e.throws]
         for body in (self.layout.scene.bodies[i] for i in self.carriers):
-            if effects and (not has_mass(body) or axes_without_inertia(body)):
+            if acting and (not has_mass(body) or axes_without_inertia(body)):
                 raise ValueError(
-                    f"connector '{self.connector.name}': {effects[0].label} stops or throws body "
+                    f"connector '{self.connector.name}': {acting[0]} body "
                     f"'{body.name}', which lacks mass or inertia; give it some, or use a form with "
                     "smoothing"
                 )
@@ -180,6 +182,11 @@ class ConnectorWriter:
             label = f"{name}.{event.name}"
             found.append(
                 Event(label, kernel, *self._place, self._changes, event.at_once, event.stops)
+            )
+        names = [event.name.removeprefix(f"{name}.") for event in found]
+        if len(set(names)) < len(names):
+            raise ValueError(
+                f"connector '{name}', events: {', '.join(names)}; give them different names"
             )
         return found
 

@@ -227,13 +227,25 @@ class Reaction:
         relative, effects = self._sight.response.relative, self.effects
         first = self.kind.n_data + sum(len(effect.own) for effect in effects[:index])
         own = ca.SX.zeros(self.n_own)
-        last = first + len(effects[index].own)
+        last, zero = first + len(effects[index].own), change.zero
         own[first:last] = change.own - self.own[first:last]
         impulse = ca.SX.zeros(6)
         if not change.impulse.is_zero():
-            impulse[effects[index].axis] = change.impulse  # type: ignore[attr-defined]
+            left = self._left(index)  # what is broken throws nothing
+            zero, own = ca.if_else(left > 0, zero, 1), left * own
+            impulse[effects[index].axis] = left * change.impulse  # type: ignore[attr-defined]
         jump = ca.vertcat(self._impulse(impulse, relative), own)
-        return kernel("event", self.x, self.c, change.zero, jump, z=self.z)
+        return kernel("event", self.x, self.c, zero, jump, z=self.z)
+
+    def _left(self, index: int) -> ca.SX:
+        """What later effects leave of the wrench of effect `index`, 0 ... 1."""
+        left = ca.SX(1)
+        for effect, answer in list(zip(self.effects, self._sight.response.answers, strict=True))[
+            index + 1 :
+        ]:
+            if effect.whole:
+                left = left * answer.factor
+        return left
 
     def changes(self) -> list[tuple[int, Change]]:
         """The events of its effects, each with the index of its effect."""

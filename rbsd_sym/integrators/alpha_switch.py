@@ -13,6 +13,7 @@ from .events import Point, Watch
 from .post_newton import PostNewton, advice
 
 _SMALLEST = 1e-6  # of the step asked for: what a post-Newton step may cut it to
+_ROUNDING = 1e-9  # of a step
 Try = Callable[..., Any]
 """(state, h, data=None) -> the state after a step, or an `Outcome`."""
 
@@ -55,8 +56,9 @@ class Switch:
             if said.error <= self.post.tolerance or h <= 1.001 * self.smallest:
                 self.wish = wish
                 return new._replace(x=said.x), None
-            if wish < h or k == self.post.iterations:
-                return new, max(self.smallest, wish if wish < h else h / 2)
+            shorter = wish < h * (1 - _ROUNDING)
+            if shorter or k == self.post.iterations:
+                return new, max(self.smallest, wish if shorter else h / 2)
             new = self.attempt(s, h, data=said.x[self._data])
             if isinstance(new, Outcome):
                 return new, None

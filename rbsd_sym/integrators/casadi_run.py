@@ -12,19 +12,27 @@ import casadi as ca
 import numpy as np
 
 from .. import casadi_events
-from ..casadi_events import CLOSE, CROWD, LEAST, Recorded, add_events, extra_start, ready, recorded, tidy
+from ..casadi_events import (
+    CLOSE,
+    CROWD,
+    LEAST,
+    Recorded,
+    add_events,
+    extra_start,
+    ready,
+    recorded,
+    tidy,
+)
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
-from .checks import refuse_updates
 from .driver import (
     Run,
     Verdict,
     assemble,
     call_integrator,
     casadi_dae,
-    consistent_start,
+    consistent,
     failure_report,
-    not_consistent,
     settle,
 )
 from .events import End, Watch, guarded
@@ -37,17 +45,11 @@ def run_with_events(
     model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any],
     judge: Callable[[Run], Verdict], count: Mapping[str, str],
 ) -> Trajectory:  # fmt: skip
-    """Integrate with a CasADi plugin and its events; arguments as of `driver.run`.
-
-    Raises:
-        ValueError: the model has post-Newton steps.
-    """
-    refuse_updates(model, plugin)
-    if model.n_z:
-        z, consistent = consistent_start(model, experiment)
-        if not consistent:
-            return not_consistent(model, experiment)
-        experiment = replace(experiment, z=z)
+    """Integrate with a CasADi plugin and its events; arguments as of `driver.run`."""
+    found = consistent(model, experiment)
+    if isinstance(found, Trajectory):
+        return found
+    experiment = found
     started, watch = time.perf_counter(), Watch(model, experiment)
     begun = guarded(lambda: watch.begin(float(experiment.t[0]), experiment.x, experiment.z))
     if isinstance(begun, End):

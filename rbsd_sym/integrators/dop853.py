@@ -70,7 +70,8 @@ class Dop853:
         outcome = (end.outcome or Outcome.solver_failed) if isinstance(end, End) else end
         stats = {
             "steps": float(run.steps), "evaluations": float(rates.count),
-            "rejected_steps": float(run.rejected), "time": time.perf_counter() - started,
+            "rejected_steps": float(run.rejected), "events": float(len(run.watch.happened)),
+            "time": time.perf_counter() - started,
         }  # fmt: skip
         n, report = run.saved if model.n_x else len(experiment.t), outcome.value
         x, z = run.x[:n], np.zeros((n, 0))

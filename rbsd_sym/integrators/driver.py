@@ -58,11 +58,10 @@ def run(
         still = np.zeros((len(experiment.t), 0))
         end = Outcome.reached_end
         return assemble(model, experiment, still, still, end, end.value, {"time": 0.0})
-    if model.n_z:
-        z, consistent = consistent_start(model, experiment)
-        if not consistent:
-            return not_consistent(model, experiment)
-        experiment = replace(experiment, z=z)
+    found = consistent(model, experiment)
+    if isinstance(found, Trajectory):
+        return found
+    experiment = found
     if model.n_x == 0:
         return _quasi_static(model, experiment, started)
     if model.n_z and with_rates:
@@ -257,6 +256,14 @@ def consistent_start(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
     """Z that solves alg = 0 at the start, by Newton's method from the given z."""
     u = input_values(e.inputs, e.t[:1])[:, 0]
     return model.consistent(float(e.t[0]), e.x, e.z, u, e.p)
+
+
+def consistent(model: Model, e: Experiment) -> Experiment | Trajectory:
+    """The experiment with unknowns that solve alg = 0, or the end of a run without any."""
+    if not model.n_z:
+        return e
+    z, found = consistent_start(model, e)
+    return replace(e, z=z) if found else not_consistent(model, e)
 
 
 def settle(model: Model, e: Experiment, result: Run) -> None:

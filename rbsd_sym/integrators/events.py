@@ -13,12 +13,13 @@ The rules, for all integrators:
   are solved again and all events looked at anew. An event that has fired must have been above zero
   again before it can fire once more.
 - Events without end end the run: ten instants within 1e-10 of it, thirty within 1e-6, a thousand
-  within 1e-4, or a thousand events at one instant.
+  within 1e-4, or a thousand events at one instant. So do changes of data by a post-Newton step that
+  have to be searched for: two hundred within a thousandth of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -32,6 +33,7 @@ from .driver import input_values
 from .signals import is_constant
 
 _CROWDS = ((CROWD, CLOSE), (30, 1e-6), (1000, 1e-4))  # instants, and their share of a run
+SEARCHED = (*_CROWDS, (200, 1e-3))  # of changes of data
 _FOUND = 1e-9  # a function that does not jump is nearer to zero where it was found to cross it
 _DIFFERENCE = 1e-7  # of the run, for the rate of an input
 _AT_ONCE = 1000
@@ -123,6 +125,9 @@ class Watch:
         happened: what has fired so far.
         armed: whether each event would fire as it falls; kept up to date by `begin` and `pass_on`.
         at_once: whether each event may fire at once.
+
+    Raises:
+        ValueError: the model has events and no states.
     """
 
     model: Model
@@ -131,6 +136,11 @@ class Watch:
 
     def __post_init__(self) -> None:
         e, events = self.experiment, self.model.dae.events
+        if events and not self.model.n_x:
+            raise ValueError(
+                f"model '{self.model.name}': events, but nothing moves, so that no states are "
+                "left; compile it with minimal=False"
+            )
         self.instant = INSTANT * float(e.t[-1] - e.t[0]) + 4 * np.finfo(float).eps * abs(e.t[-1])
         self.armed = np.zeros(len(events), bool)
         self.at_once = np.array([event.at_once for event in events], bool)
@@ -236,23 +246,23 @@ class Watch:
         Raises:
             Lost: see there.
         """
-        left, right, guess = a, b, _first_root(a, b, self.armed)
-        guess = guess if a.t < guess < b.t else (a.t + b.t) / 2
+        left, right, slow = a, b, 0
         for _ in range(_REFINED):
             width = right.t - left.t
-            if width <= self.instant or not left.t < guess < right.t:
-                return right
+            if width <= self.instant:
+                break
+            if slow < 2:
+                guess = _first_root(left, right, self.armed, self._floor)
+                # At an end, look just beyond it, to have the crossing between both.
+                guess = max(left.t + self.instant / 2, min(guess, right.t - self.instant / 2))
+            else:
+                guess, slow = (left.t + right.t) / 2, 0
             point = self.reach(a, guess, advance)
             if self.crossing(point):
                 right = point
             else:
                 left = point
-            before, guess = guess, _first_root(left, right, self.armed)
-            inside = left.t < guess < right.t
-            if inside and abs(guess - before) <= self.instant / 4:  # step over it, to have it on
-                guess = before + (1 if point is left else -1) * self.instant / 2  # both sides
-            elif not inside or right.t - left.t > width / 2:
-                guess = (left.t + right.t) / 2
+            slow = slow + 1 if right.t - left.t > width / 2 else 0
         return right
 
     def fire(self, point: Point) -> Point:
@@ -270,7 +280,7 @@ class Watch:
         self.count(point.t)
         return point
 
-    def count(self, t: float) -> None:
+    def count(self, t: float, crowds: Sequence[tuple[int, float]] = _CROWDS) -> None:
         """Count an instant at which something happened.
 
         Raises:
@@ -278,7 +288,7 @@ class Watch:
         """
         self._instants.append(t)
         run = float(self.experiment.t[-1] - self.experiment.t[0])
-        for count, share in _CROWDS:
+        for count, share in crowds:
             recent = self._instants[-count:]
             if len(recent) == count and recent[-1] - recent[0] <= share * run:
                 how = f"the last {count} within {recent[-1] - recent[0]:.3g} s"
@@ -355,13 +365,29 @@ def _extremum(a: Point, b: Point, i: int) -> float | None:
     return None
 
 
-def _first_root(a: Point, b: Point, armed: np.ndarray) -> float:
-    """The earliest time at which the cubic of a crossing function falls below zero."""
+def _first_root(a: Point, b: Point, armed: np.ndarray, floor: np.ndarray) -> float:
+    """The earliest time at which the cubic of a crossing function falls below -floor."""
     first = 1.0
-    for i in np.flatnonzero(armed & (b.zero < 0)):
+    for i in np.flatnonzero(armed & (b.zero < -floor)):
         c = _coefficients(a, b, int(i))
-        roots = np.roots([c[3], c[2], c[1], c[0]]) if any(c[1:]) else np.array([])
-        inside = (float(r.real) for r in roots if abs(r.imag) < 1e-9 and 0 <= r.real <= 1)
+        c = (c[0] + floor[i], *c[1:])
+        inside = (s for s in _roots(c) if 0 <= s <= 1)
         falling = (s for s in inside if c[1] + s * (2 * c[2] + 3 * s * c[3]) < 0)
         first = min([first, *falling])
     return a.t + first * (b.t - a.t)
+
+
+def _roots(c: tuple[float, float, float, float]) -> list[float]:
+    """Real roots of c[0] + c[1] s + c[2] s^2 + c[3] s^3."""
+    largest = max(map(abs, c))
+    # A leading coefficient of rounding alone would cost the other roots their digits.
+    kept = [k for k in range(4) if abs(c[k]) > 1e-13 * largest]
+    if not kept or kept[-1] == 0:
+        return []
+    roots = np.roots(c[kept[-1] :: -1])
+    found = []
+    for root in (float(r.real) for r in roots if abs(r.imag) < 1e-9):
+        value = c[0] + root * (c[1] + root * (c[2] + root * c[3]))
+        slope = c[1] + root * (2 * c[2] + 3 * root * c[3])
+        found.append(root - value / slope if slope else root)
+    return found

@@ -9,7 +9,13 @@ from typing import Any, ClassVar
 from ..model import Model
 from ..trajectory import Experiment, Trajectory
 from .casadi_run import run_with_events
-from .checks import check_options, judge_runge_kutta, refuse_unknowns, runge_kutta_options
+from .checks import (
+    check_options,
+    judge_runge_kutta,
+    refuse_unknowns,
+    refuse_updates,
+    runge_kutta_options,
+)
 from .driver import run
 
 
@@ -44,11 +50,12 @@ class ExplicitRK:
         """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.
 
         Raises:
-            ValueError: the model has algebraic unknowns.
+            ValueError: the model has algebraic unknowns or post-Newton steps.
         """
         refuse_unknowns(model)
+        refuse_updates(model, type(self).__name__)
         options = {"reltol": self.rtol, "abstol": self.atol, **self.casadi_options}
         count = {"steps": "n_steps", "evaluations": "n_rhs", "rejected_steps": "n_reject"}
         judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731
-        solve = run_with_events if model.dae.events or model.dae.updates else run
+        solve = run_with_events if model.dae.events else run
         return solve(model, experiment, self.plugin, options, judge, count)

@@ -214,6 +214,7 @@ class GeneralizedAlpha:
         stats = {
             "steps": float(run.steps), "rejected_steps": float(run.rejected),
             "newton_iterations": float(stepper.iterations),
+            "events": float(len(switch.watch.happened)),
             "time": time.perf_counter() - built, "time_build": built - started,
         }  # fmt: skip
         n, report = max(run.saved, 1), outcome.value  # the start is kept, whatever it is
@@ -239,7 +240,8 @@ class GeneralizedAlpha:
                 if run.steps + run.rejected >= self.max_steps:
                     return Outcome.too_many_steps
                 new = self._step(stepper, run, state, float(target), errors, switch)
-                point = switch.after(state, new) if isinstance(new, State) else None
+                went = isinstance(new, State) and new is not state  # else the step was rejected
+                point = switch.after(state, new) if went else None
                 if point is not None:
                     new = stepper.start(point.t, point.x, point.z)
                 if isinstance(new, Outcome):

@@ -13,7 +13,7 @@ import numpy as np
 from ..model import Model
 from ..trajectory import Experiment, Outcome, Trajectory
 from .checks import check_options
-from .driver import Run, Verdict, input_values, run
+from .driver import Run, Verdict, consistent, input_values, run
 from .events import Point
 from .post_newton import PostNewton
 from .windows import Walk, follow
@@ -96,9 +96,8 @@ class Idas:
             "reltol": max(self.rtol * scale, _FLOOR), "abstol": self.atol * scale,
             "max_multistep_order": self.max_order, "max_num_steps": self.max_steps,
         }  # fmt: skip
-        if (
-            model.n_z
-        ):  # else their rounding, large where they follow from stiff forces, sets the step
+        if model.n_z:
+            # Their rounding, large where they follow from stiff forces, must not set the step.
             options["suppress_algebraic"] = True
             # Its own first guess, 1e-14 s at tight tolerances, leaves their equations no digits.
             options["step0"] = _FIRST_STEP * float(experiment.t[-1] - experiment.t[0])
@@ -116,7 +115,9 @@ class Idas:
 
     def _walk(self, model: Model, experiment: Experiment, options: dict[str, Any]) -> Trajectory:
         """In stretches, from event to event; in each, time is scaled to 0 ... 1."""
-        rates = model.function("ode")
+        rates, found = model.function("ode"), consistent(model, experiment)
+        if isinstance(found, Trajectory):
+            return found
 
         def scaled(start: Point, length: float) -> dict[str, Any]:
             own = dict(options)
@@ -131,7 +132,7 @@ class Idas:
             return own | dict(self.options)
 
         tolerances = options["reltol"], options["abstol"]
-        walk = Walk(model, experiment, "idas", scaled, tolerances, self.post_newton)
+        walk = Walk(model, found, scaled, tolerances, self.post_newton)
         return follow(walk, _judge, _COUNT)
 
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from ..model import Model
 from ..trajectory import Experiment, Trajectory
 from .casadi_run import run_with_events
-from .checks import check_options, judge_runge_kutta, runge_kutta_options
+from .checks import check_options, judge_runge_kutta, refuse_updates, runge_kutta_options
 from .driver import run
 
 
@@ -41,10 +41,15 @@ class Rosenbrock:
         return runge_kutta_options(self)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
-        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""
+        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.
+
+        Raises:
+            ValueError: the model has post-Newton steps.
+        """
+        refuse_updates(model, type(self).__name__)
         options = {"reltol": self.rtol, "abstol": self.atol, **self.casadi_options}
         count = {"steps": "n_steps", "evaluations": "n_rhs", "jacobians": "n_jac",
                  "rejected_steps": "n_reject"}  # fmt: skip
         judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731
-        solve = run_with_events if model.dae.events or model.dae.updates else run
+        solve = run_with_events if model.dae.events else run
         return solve(model, experiment, self.plugin, options, judge, count)

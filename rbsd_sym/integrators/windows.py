@@ -2,7 +2,7 @@
 
 CasADi's own events of IDAS are not to be trusted (IDA_ILL_INPUT on a bouncing ball), and its
 integrators have a grid for good. So time is scaled: one integrator over s = 0 ... 1 serves every
-stretch of as many output intervals. Stretches double from one on as long as nothing happens.
+stretch of as many output intervals. Stretches grow as long as nothing happens.
 """
 
 from __future__ import annotations
@@ -26,18 +26,16 @@ from .driver import (
     assemble,
     call_integrator,
     casadi_dae,
-    consistent_start,
     failure_report,
-    input_values,
-    not_consistent,
     settle,
 )
-from .events import End, Point, Watch, guarded
+from .events import SEARCHED, End, Point, Watch, guarded
 from .post_newton import Advice, PostNewton, advice
 from .signals import is_constant, raise_of_user
 
 LOOKS = 8  # in an output interval, at least
 _MOST = 20_000  # looks in a stretch
+_FEW = 16  # looks in one after an event, which is likely to be followed by another
 _STEPS, _BEGIN = 4, 100  # of IDAS from look to look, at most, beside those after a start
 _LONGEST = 64  # output intervals in one stretch
 _SLIVER = 1e-3  # of a look, which is not looked at
@@ -87,7 +85,8 @@ class Stretches:
     def _integrator(self, plugin: str, looks: int, options: Mapping[str, Any]) -> ca.Function:
         constant = all(is_constant(s) for s in self.experiment.inputs)
         key = ("stretch", plugin, looks, repr(sorted(options.items())))
-        memo = self.model.memo if constant and "init_xdot" not in options else self.own
+        once = "init_xdot" in options  # the start is part of the options
+        memo = {} if once else self.model.memo if constant else self.own
         if key not in memo:
             dae = self._scaled()
             grid = [k / looks for k in range(1, looks + 1)]
@@ -115,7 +114,6 @@ class Walk:
 
     model: Model
     experiment: Experiment
-    plugin: str
     options: Options
     tolerances: tuple[float, float]
     post: PostNewton
@@ -142,22 +140,34 @@ class Walk:
         return found
 
     def _go(self, point: Point) -> End:
-        times, size = self.experiment.t, 1
+        times, size, few = self.experiment.t, 1, _MOST
         self._save(point)
         while self.saved < len(times):
             aligned = abs(times[self.saved - 1] - point.t) <= self.watch.instant
             count = min(size, len(times) - self.saved) if aligned and self._uniform else 1
             end = float(times[self.saved + count - 1])
-            interval = end - float(times[self.saved - 1]) if count == 1 else 0.0
-            share = (end - point.t) / interval if count == 1 else count  # of a look's grid
-            looks = max(1, math.ceil(LOOKS * share - _SLIVER))
-            points, failed = self._stretch(point, end, looks * self._finer)
+            looks = LOOKS * count * self._finer
+            if count == 1:
+                end, looks = self._part(point.t, end, few)
+            points, failed = self._stretch(point, end, looks)
             reached = self._along(points)
             if reached is None and failed is not None:
                 return End(None, points[-1].t, failed=failed)
+            few = min(4 * few, _MOST) if reached is None else _FEW
             size = min(2 * size, _LONGEST) if reached is None else 1
             point = points[-1] if reached is None else reached
         return End(Outcome.reached_end, point.t)
+
+    def _part(self, t: float, end: float, few: int) -> tuple[float, int]:
+        """The end of the next stretch on the way to an output time, and its looks, `few` at most.
+
+        Numbers of looks are powers of two, so that few integrators serve all stretches.
+        """
+        interval = end - float(self.experiment.t[self.saved - 1])
+        looks = LOOKS * self._finer * (end - t) / interval
+        if looks > 1.5 * few:
+            return t + (end - t) * few / looks, few
+        return end, 2 ** max(0, math.ceil(math.log2(max(1.0, looks - _SLIVER))))
 
     def _along(self, points: list[Point]) -> Point | None:
         """The point after the first event, or change of data, on the way; None if there is none."""
@@ -177,10 +187,10 @@ class Walk:
         """Points on the way, with what the events look at, and the run if it failed."""
         length = end - start.t
         options = self.options(start, length)
-        run = self.stretches.run(self.plugin, start, length, looks, options)
+        run = self.stretches.run("idas", start, length, looks, options)
         while not run.failed and looks < _MOST and run.stats["nsteps"] > _STEPS * looks + _BEGIN:
             looks *= 2
-            run = self.stretches.run(self.plugin, start, length, looks, options)
+            run = self.stretches.run("idas", start, length, looks, options)
         t = start.t + length * np.arange(looks + 1) / looks
         t[-1] = end
         good = np.isfinite(run.x).all(axis=1) & np.isfinite(run.z).all(axis=1)
@@ -196,8 +206,8 @@ class Walk:
         state = self.stretches.advance(point, t, *self.tolerances)
         if state is None or not self.model.n_z:
             return state
-        u = input_values(self.experiment.inputs, np.array([t]))[:, 0]
-        z, found = self.model.consistent(t, state[0], state[1], u, self.experiment.p)
+        u, p = self.watch.inputs(t), self.experiment.p
+        z, found = self.model.consistent(t, state[0], state[1], u, p)
         return (state[0], z) if found else None
 
     def _resolve(self, a: Point, b: Point) -> Point | None:
@@ -210,7 +220,7 @@ class Walk:
                 changed = bool((said.x != target.x).any())
                 if changed:
                     if target is not b:
-                        self.watch.count(target.t)
+                        self.watch.count(target.t, SEARCHED)
                     return self.watch.look(target.t, said.x, target.z)
                 if target is b:
                     return None
@@ -220,8 +230,8 @@ class Walk:
             target = self.watch.reach(a, middle, self._advance)
 
     def _advice(self, point: Point) -> Advice:
-        u = input_values(self.experiment.inputs, np.array([point.t]))[:, 0]
-        return advice(self.model, point.t, point.x, point.z, u, self.experiment.p)
+        u, p = self.watch.inputs(point.t), self.experiment.p
+        return advice(self.model, point.t, point.x, point.z, u, p)
 
     def _save(self, point: Point) -> None:
         """Keep the state if its time is an output time."""
@@ -242,11 +252,6 @@ def follow(walk: Walk, judge: Callable[[Run], Verdict], count: Mapping[str, str]
         count: names of the statistics we report and of the plugin's own.
     """
     started, model, e = time.perf_counter(), walk.model, walk.experiment
-    if model.n_z:
-        z, found = consistent_start(model, e)
-        if not found:
-            return not_consistent(model, e)
-        walk.experiment = walk.stretches.experiment = walk.watch.experiment = replace(e, z=z)
     end = walk.go()
     x, z, n = walk.x[: walk.saved], walk.z[: walk.saved], walk.saved
     outcome, report = end.outcome, end.report

@@ -7,7 +7,7 @@ add forces along one component of them.
 from .base import Law, Relative, Response, SpringDamper, respond
 from .consistent import Consistent
 from .contact import Contact, stops
-from .effect import Effect, Own
+from .effect import AXES, Effect, Own
 from .fracture import Fracture
 from .friction import Friction, LuGre
 from .impact import Impact
@@ -18,7 +18,7 @@ from .standard import Standard
 from .stiffness import Cubic, Table
 
 __all__ = [
-    "Consistent", "Contact", "Cubic", "Effect", "Fracture", "Friction", "Impact", "Intrinsic",
-    "Law", "LuGre", "Maxwell", "Own", "Plastic", "Relative", "Response", "SpringDamper", "Standard",
-    "Table", "respond", "stops",
+    "AXES", "Consistent", "Contact", "Cubic", "Effect", "Fracture", "Friction", "Impact",
+    "Intrinsic", "Law", "LuGre", "Maxwell", "Own", "Plastic", "Relative", "Response",
+    "SpringDamper", "Standard", "Table", "respond", "stops",
 ]  # fmt: skip

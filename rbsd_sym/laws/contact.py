@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from .effect import Answer, Change, Effect, Own, Rule, Sight
+from ..symbols import is_number
+from .effect import Answer, Change, Effect, Own, Rule, Sight, value_at_default
 from .smooth import ramp, ramp_integral, step_over_ramp
 
 _RELEASE = 0.1  # relative width in which damping stops short of pulling
@@ -95,8 +96,13 @@ def stops(
     Raises:
         ValueError: the lower end is not below the upper one.
     """
-    if not hasattr(lower, "expr") and not hasattr(upper, "expr") and not lower < upper:
-        raise ValueError(f"stops: lower {lower} is not below upper {upper}; exchange them")
+    for title, value in (("lower", lower), ("upper", upper)):
+        if not is_number(value):
+            raise TypeError(f"stops: {title} {value!r}; give a number, a Param or an expression")
+    if value_at_default(lower) >= value_at_default(upper):
+        raise ValueError(
+            f"stops: lower {lower} is not below upper {upper}; exchange them, or set them apart"
+        )
     return (
         Contact(axis, stiffness, damping, -lower, 1, smoothing, f"{name}_lower"),
         Contact(axis, stiffness, damping, upper, -1, smoothing, f"{name}_upper"),

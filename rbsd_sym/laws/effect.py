@@ -19,6 +19,8 @@ from ..checks import at_default
 from ..symbols import Leaf, Scalar, check_identifier, is_number, leaves_of, to_expr
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+_TURNED = {"N/m": "N m/rad", "N": "N m", "m": "rad", "m/s": "rad/s", "N s/m": "N m s/rad",
+           "N/m3": "N m/rad3"}  # fmt: skip
 _NONE = ca.SX(0, 1)
 _ZERO = ca.SX(0)
 
@@ -134,6 +136,11 @@ class Effect:
         """Whether it gives impulses or holds, and so needs inertia on both sides."""
         return False
 
+    @property
+    def needs_potential(self) -> bool:
+        """Whether it depends on the energy stored before it."""
+        return False
+
     def answer(self, sight: Sight) -> Answer:
         """Force, energies, rates of its states and events."""
         raise NotImplementedError
@@ -144,18 +151,20 @@ class Effect:
         Raises:
             ValueError, TypeError: what breaks the rules, and where.
         """
-        where = f"{where}, {type(self).__name__}"
-        if not self.whole and self.axis not in range(6):  # type: ignore[attr-defined]
-            raise ValueError(
-                f"{where}: axis {self.axis!r}; it is 0, 1, 2 for translation along the joint's "  # type: ignore[attr-defined]
-                "x, y, z, or 3, 4, 5 for rotation"
-            )
+        where, turns = f"{where}, {type(self).__name__}", False
+        if not self.whole:
+            axis: Any = self.axis  # type: ignore[attr-defined]
+            _check_axis(axis, where)
+            turns = axis >= 3
         if getattr(self, "name", ""):
             check_identifier(self.name, where)  # type: ignore[attr-defined]
+        optional = {f.name for f in fields(self) if f.default is None}
         for name, rule in self.rules.items():
             value = getattr(self, name)
-            if value is not None:
-                _check_number(f"{where}, {name}", value, rule)
+            if value is not None or name not in optional:
+                unit = _TURNED.get(rule.unit, rule.unit) if turns else rule.unit
+                _check_number(f"{where}, {name}", value, rule._replace(unit=unit))
+        _check_smoothing(getattr(self, "smoothing", 0.0), f"{where}, smoothing")
         self._check(where)
 
     def _check(self, where: str) -> None:
@@ -207,10 +216,31 @@ def _check_number(where: str, value: Any, rule: Rule) -> None:
             f"{where}: {value!r} is {type(value).__name__}; give a float, a Param, an Input, TIME "
             "or an expression of them"
         )
-    number = float(
-        at_default(np.array(value, dtype=object)) if isinstance(value, Scalar) else value
-    )
-    low = not rule.signed and (number < 0 or (rule.positive and number == 0))
-    if not np.isfinite(number) or low:
-        kind = "finite" if rule.signed else "positive" if rule.positive else "not negative"
-        raise ValueError(f"{where}: {number:g} {rule.unit}; it is {kind}; check sign and unit")
+    number = value_at_default(value)
+    if not np.isfinite(number):
+        raise ValueError(f"{where}: {number} {rule.unit}; it is finite; check where it came from")
+    if not rule.signed and (number < 0 or (rule.positive and number == 0)):
+        kind, unit = "positive" if rule.positive else "not negative", f" {rule.unit}".rstrip()
+        raise ValueError(f"{where}: {number:g}{unit}; it is {kind}; check sign and unit")
+
+
+def value_at_default(value: Any) -> float:
+    """A number, or what an expression is at the values its symbols start with."""
+    symbolic = isinstance(value, Scalar)
+    return float(at_default(np.array(value, dtype=object)) if symbolic else value)
+
+
+def _check_axis(axis: Any, where: str) -> None:
+    whole = isinstance(axis, (int, np.integer)) and not isinstance(axis, bool)
+    if not (whole and 0 <= axis < 6):
+        raise ValueError(
+            f"{where}: axis {axis!r}; it is 0, 1, 2 for translation along the joint's x, y, z, or "
+            "3, 4, 5 for rotation"
+        )
+
+
+def _check_smoothing(value: Any, where: str) -> None:
+    if not is_number(value) or isinstance(value, Scalar):
+        raise TypeError(f"{where}: {value!r} is {type(value).__name__}; it is a plain number")
+    if not 0 <= value < np.inf:
+        raise ValueError(f"{where}: {value!r}; it is 0, for the form with events, or above")

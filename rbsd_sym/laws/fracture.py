@@ -55,6 +55,11 @@ class Fracture(Effect):
             return (Own("damage"),)
         return Own("broken", data=True), Own("lost", "J", data=True)
 
+    @property
+    def needs_potential(self) -> bool:
+        """With an energy limit."""
+        return self.energy is not None
+
     def answer(self, sight: Sight) -> Answer:
         """What is left of the wrench."""
         load = self._load(sight)

@@ -8,8 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..symbols import Scalar
-from .effect import Answer, Change, Effect, Own, Rule, Sight
+from .effect import Answer, Change, Effect, Own, Rule, Sight, value_at_default
 
 _STILL = 1e-8  # m/s or rad/s: what moves faster does not stick
 _CREEP = 1e-6  # of the Stribeck velocity: below it bristles do not yield
@@ -26,9 +25,9 @@ def _limits(effect: Any, sight: Sight) -> tuple[ca.SX, ca.SX]:
 
 
 def _check_coefficients(effect: Any, where: str) -> None:
-    kinetic, static = effect.kinetic, effect.static
-    if static is None or isinstance(static, Scalar) or isinstance(kinetic, Scalar):
+    if effect.static is None:
         return
+    kinetic, static = value_at_default(effect.kinetic), value_at_default(effect.static)
     if static < kinetic:
         raise ValueError(
             f"{where}: static coefficient {static:g} < kinetic {kinetic:g}; it takes at least as "

@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from ..symbols import Scalar
-from .effect import Answer, Change, Effect, Own, Rule, Sight
+from .effect import Answer, Change, Effect, Own, Rule, Sight, value_at_default
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +40,10 @@ class Impact(Effect):
     def _check(self, where: str) -> None:
         if self.side not in (1, -1):
             raise ValueError(f"{where}: side {self.side!r}; it is +1 (a floor) or -1 (a ceiling)")
-        if not isinstance(self.restitution, Scalar) and self.restitution > 1:
+        restitution = value_at_default(self.restitution)
+        if restitution > 1:
             raise ValueError(
-                f"{where}, restitution: {self.restitution:g}; at most 1, which loses no energy"
+                f"{where}, restitution: {restitution:g}; at most 1, which loses no energy"
             )
 
     @property

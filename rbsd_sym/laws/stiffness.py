@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from ..symbols import Scalar, is_number
 from .effect import Answer, Effect, Rule, Sight
 
 
@@ -56,16 +57,17 @@ class Table(Effect):
 
     def __post_init__(self) -> None:
         for name in ("strain", "force"):
-            values = tuple(float(v) for v in getattr(self, name))
-            object.__setattr__(self, name, values)
+            object.__setattr__(self, name, _column(getattr(self, name), f"Table, {name}"))
 
     def _check(self, where: str) -> None:
         u, f = np.array(self.strain), np.array(self.force)
-        if len(u) != len(f) or len(u) < 2 or not np.isfinite([u, f]).all():
+        if len(u) != len(f) or len(u) < 2:
             raise ValueError(
-                f"{where}: {len(u)} strains and {len(f)} forces; give as many finite forces as "
-                "strains, at least two"
+                f"{where}: {len(u)} strains and {len(f)} forces; give as many forces as strains, "
+                "at least two"
             )
+        if not np.isfinite([u, f]).all():
+            raise ValueError(f"{where}: strains {u}, forces {f}; all are finite")
         if (np.diff(u) <= 0).any():
             raise ValueError(f"{where}: strains {self.strain} do not increase; sort the table")
 
@@ -85,6 +87,17 @@ class Table(Effect):
             energy = work if i == 0 else ca.if_else(here, work, energy)
             previous = (start, c)
         return Answer(force, energy)
+
+
+def _column(values: Any, where: str) -> tuple[float, ...]:
+    if is_number(values) or values is None:
+        raise TypeError(f"{where}: {values!r}; give a list of numbers")
+    for value in values:
+        if not is_number(value):
+            raise ValueError(f"{where}: {value!r} is {type(value).__name__}; give plain numbers")
+        if isinstance(value, Scalar):
+            raise TypeError(f"{where}: {value} is no plain number; a table is fixed")
+    return tuple(float(value) for value in values)
 
 
 def _integral(c: np.ndarray, x: Any) -> Any:
