@@ -32,6 +32,7 @@ _NEWTON = 4  # steps for the unknowns after an event
 _NEST, _DEPTH = 8, 2  # at most _NEST ** _DEPTH events at one instant
 NEVER = 1e300
 _NOISE = 1e-25
+_FOUND = 1e-9  # a function that does not jump is nearer to zero where it was found to cross it
 
 
 # The extra states: count of events, first time at which one stops the run, first time at which they
@@ -136,8 +137,11 @@ def _cascade(model: Model) -> ca.Function:
     """
     symbols, index = _symbols(model), ca.MX.sym("index")
     t, x, z, u, p, extra, instant = symbols
-    zero, width, falls, above = _seen(model)(t, x, z, u, p, instant)
-    found = index == ca.DM(range(len(model.events)))
+    found, none = index == ca.DM(range(len(model.events))), ca.DM.zeros(len(model.events))
+    at_event = ca.fabs(_seen(model)(t, x, z, u, p, instant, none)[0])
+    # Rounding of a function where it was found to cross zero, if it does not jump.
+    floor = ca.if_else(ca.logic_and(found, at_event <= _FOUND), 2 * at_event, 0)
+    zero, width, falls, above = _seen(model)(t, x, z, u, p, instant, floor)
     spent = extra[_SPENT]
     fresh = ca.logic_or(spent == 0, t - spent > BAND * instant)
     fallen = ca.logic_and(falls, fresh)
@@ -145,7 +149,7 @@ def _cascade(model: Model) -> ca.Function:
     armed = ca.logic_or(ca.logic_or(above, fallen), ca.logic_or(waits, found))
     below = ca.logic_and(waits, zero < -width)
     due = _first(ca.logic_or(found, ca.logic_or(fallen, below)))
-    armed, due, x, z, extra = _repeated(model)(armed, due, *symbols)
+    armed, due, x, z, extra = _repeated(model)(armed, due, floor, *symbols)
     over = due >= 0  # more than may happen at one instant
     spent = ca.if_else(armed, 0, ca.if_else(t == 0, _TINY, t))
     extra = ca.vertcat(
@@ -182,21 +186,21 @@ def _first(due: ca.MX) -> ca.MX:
 
 
 def _repeated(model: Model) -> ca.Function:
-    """(armed, due, t, x, z, u, p, extra, instant) -> armed, due, x, z, extra once nothing is due.
+    """(armed, due, floor, t, x, z, u, p, extra, instant) -> armed, due, x, z, extra at the end.
 
     Or after _NEST ** _DEPTH events; `due` is the index of the next one, -1 if there is none.
     """
     symbols, n = _symbols(model), len(model.events)
     t, x, z, u, p, extra, instant = symbols
-    armed, due = ca.MX.sym("armed", n), ca.MX.sym("due")
-    inputs = [armed, due, *symbols]
+    armed, due, floor = ca.MX.sym("armed", n), ca.MX.sym("due"), ca.MX.sym("floor", n)
+    inputs = [armed, due, floor, *symbols]
     idle = ca.Function("idle", inputs, [armed, due, x, z, extra])
     step = ca.Function.if_else("step", _one(model), idle)
     step = ca.Function("next", inputs, step(due >= 0, *inputs))
     for _ in range(_DEPTH):
         state = [armed, due, x, z, extra]
         for _ in range(_NEST):
-            state = step(*state[:2], t, *state[2:4], u, p, state[4], instant)
+            state = step(*state[:2], floor, t, *state[2:4], u, p, state[4], instant)
         step = ca.Function("next", inputs, state)
     return step
 
@@ -205,16 +209,16 @@ def _one(model: Model) -> ca.Function:
     """As `_repeated`, after one event."""
     symbols, n = _symbols(model), len(model.events)
     t, x, z, u, p, extra, instant = symbols
-    armed, due = ca.MX.sym("armed", n), ca.MX.sym("due")
+    armed, due, floor = ca.MX.sym("armed", n), ca.MX.sym("due"), ca.MX.sym("floor", n)
     x, z, extra = _fire(model)(due, *symbols)
-    zero, width, falls, above = _seen(model)(t, x, z, u, p, instant)
+    zero, width, falls, above = _seen(model)(t, x, z, u, p, instant, floor)
     own, below = due == ca.DM(range(n)), zero < -width
     kept = ca.logic_and(armed, ca.logic_not(own))
     now = ca.logic_or(above, ca.logic_and(kept, ca.logic_or(_at_once(model), zero >= -width)))
     next_one = ca.logic_and(now, ca.logic_or(falls, ca.logic_and(_at_once(model), below)))
     goes_on = extra[1] >= NEVER
     following = ca.if_else(goes_on, _first(next_one), -1)
-    return ca.Function("one", [armed, due, *symbols], [now, following, x, z, extra])
+    return ca.Function("one", [armed, due, floor, *symbols], [now, following, x, z, extra])
 
 
 def _settled(model: Model, t: Any, x: Any, z: Any, u: Any, p: Any) -> ca.MX:
@@ -250,14 +254,15 @@ def _fire(model: Model) -> ca.Function:
 
 
 def _seen(model: Model) -> ca.Function:
-    """(t, x, z, u, p, instant) -> zero, its width, whether it falls there, whether it is above."""
+    """(t, x, z, u, p, instant, floor) -> zero, its width, whether it falls, whether it is above."""
     t, x, z, u, p, _, instant = _symbols(model)
+    floor = ca.MX.sym("floor", len(model.events))
     zero, rate = (ca.densify(model.function(f)(t, x, z, u, p)) for f in ("zero", "zero_rate"))
-    width = BAND * instant * ca.fabs(rate)
+    width = ca.fmax(BAND * instant * ca.fabs(rate), floor)
     within = ca.fabs(zero) <= width
     falls = ca.logic_and(within, rate < 0)
     above = ca.logic_or(zero > width, ca.logic_and(within, rate >= 0))
-    return ca.Function("seen", [t, x, z, u, p, instant], [zero, width, falls, above])
+    return ca.Function("seen", [t, x, z, u, p, instant, floor], [zero, width, falls, above])
 
 
 def integrator(

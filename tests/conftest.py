@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+# Its assertions tell values like those of the test files.
+pytest.register_assert_rewrite("effect_scenes")
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
@@ -24,7 +27,11 @@ def library_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 # Batteries of hundreds of cases: an ordinary run takes every third one, `-m ""` all of them.
-_LONG = ("test_effects", "test_events", "test_generalized_alpha", "test_data_states")
+_LONG = (
+    "test_effects", "test_effects_contact", "test_effects_friction", "test_effects_materials",
+    "test_events", "test_events_cascades", "test_events_hidden",
+    "test_generalized_alpha", "test_data_states", "test_data_states_forms",
+)  # fmt: skip
 
 
 @pytest.hookimpl(tryfirst=True)

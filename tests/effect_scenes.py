@@ -14,6 +14,12 @@ import rbsd_sym as rs
 
 LAWS = {"standard": rs.Standard(), "intrinsic": rs.Intrinsic(), "consistent": rs.Consistent()}
 HEAVY = 1e20  # kg or kg m2: a body that forces of 1 N do not move
+TIGHT = {
+    "idas": rs.Idas(1e-10, 1e-12), "rosenbrock": rs.Rosenbrock(1e-10, 1e-12),
+    "explicit": rs.ExplicitRK(1e-10, 1e-12), "dop853": rs.Dop853(1e-10, 1e-12),
+}  # fmt: skip
+HOLDING = ("idas", "rosenbrock")  # those that solve for the force of friction that sticks
+SOME = [("standard", 0), ("standard", 5), ("intrinsic", 3), ("consistent", 2), ("consistent", 4)]
 
 
 def unit(axis: int) -> np.ndarray:
@@ -206,3 +212,11 @@ def balance(
 def largest(values: Any) -> float:
     """Largest absolute value."""
     return float(np.abs(np.asarray(values, float)).max())
+
+
+def compare(found: rs.Trajectory, phases: list[events.Phase], axis: int, error: float) -> None:
+    """Positions and velocities against phases."""
+    x, v = events.state_at(phases, found.t)
+    ours = along(found, axis)
+    assert largest(ours[0] - x) < error
+    assert largest(ours[1] - v) < error

@@ -290,7 +290,7 @@ def test_energy_is_accounted_for_along_other_axes(law: str, axis: int) -> None:
     effects = [rs.Contact(axis, 1e3, 10.0, 0.1), rs.Plastic(axis, 50.0, 10.0, 5.0),
                rs.Maxwell(axis, 30.0, 4.0)]  # fmt: skip
     model = rs.compile_scene(block(effects, axis, 40.0, v=4.0, law=law, damping=0.1, pull=-5.0))
-    found = balance(model, 1.5, EXPLICIT, 0.05, pull=(-5.0, axis))
+    found = balance(model, 1.5, EXPLICIT, 0.025, pull=(-5.0, axis))
     assert abs(found.error) < 1e-6
     assert found.heat > 1
 
