@@ -16,7 +16,8 @@ from types import ModuleType
 from typing import Any
 
 import rbsd_sym as rs
-from rbsd_sym.files import write_whole
+
+from .files import write_whole
 
 _EPILOG = """
 MODEL is a Python file that defines scene(); it may define T_END (s), COLUMNS (names to plot) and
@@ -27,12 +28,14 @@ examples:
   python -m rbsd_sym info models/mini.py                    states, cost, notes
   python -m rbsd_sym run models/engine_mounts.py            integrate, plot, save
   python -m rbsd_sym run models/mini.py --t-end 2 --columns body.position spring.force_local
+  python -m rbsd_sym run models/pair.py --animate gif       and a film
   python -m rbsd_sym export models/engine_mounts.py         C code with header and model card
   python -m rbsd_sym chart models/mini.py                   speed against accuracy
   python -m rbsd_sym stability models/engine_mounts.py      rest, eigenvalues, frequencies
   python -m rbsd_sym stability models/kapitza.py            map of stability
   python -m rbsd_sym stability --all                        the stability atlas
 """
+_FILM = 5.0  # s, the longest
 _INTEGRATORS = {"idas": rs.Idas, "rosenbrock": rs.Rosenbrock, "explicit": rs.ExplicitRK}
 
 
@@ -104,6 +107,7 @@ def _run_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--rtol", type=float, default=1e-8, help="relative tolerance")
     command.add_argument("--atol", type=float, default=1e-10, help="absolute tolerance")
     command.add_argument("--columns", nargs="+", help="columns to plot (default: COLUMNS)")
+    command.add_argument("--animate", choices=("gif", "html"), help="write a film of the motion")
     command.add_argument(
         "--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameter values"
     )
@@ -136,6 +140,11 @@ def _run(options: argparse.Namespace) -> None:
             params=_settings(options.set),
         )
     _finish(options, trajectory, getattr(file, "COLUMNS", None))
+    if options.animate:
+        film = options.folder / trajectory.name / f"{trajectory.name}.{options.animate}"
+        length = min(_FILM, t_end)
+        with _progress(f"drawing {film}"):
+            rs.plots.animate(model, trajectory, film, duration=length)
 
 
 def _finish(options: argparse.Namespace, trajectory: rs.Trajectory, columns: Any) -> None:
@@ -227,7 +236,7 @@ def _map(options: argparse.Namespace, model: rs.Model, asked: dict[str, Any]) ->
     text += f"![{model.name}]({stem.name}.png)\n\n{table.to_markdown()}"
     write_whole(stem.with_suffix(".md"), lambda file: file.write(text.encode()), "stability")
     table.to_csv(stem.with_suffix(".csv"))
-    stable = sum(value is True for value in table.column("stable"))
+    stable = sum(bool(value) for value in table.column("stable"))
     print(f"{stable} of {len(table.rows)} points are stable, {failed} failed")
     print(f"wrote {stem}.png, .md and .csv")
 
@@ -247,6 +256,7 @@ def _atlas(options: argparse.Namespace) -> None:
                 rs.atlas.make(page, folder, full=not options.short)
         except Exception as error:  # whatever fails on a page, the others are made
             failed.append(f"{page.number} ({type(error).__name__}: {error})")
+    rs.atlas.contents(folder)
     print(f"wrote {len(pages) - len(failed)} of {len(pages)} pages to {folder}")
     if failed:
         raise ValueError(f"stability: pages that failed: {'; '.join(failed)}")

@@ -102,7 +102,8 @@ def test_pair_makes_the_energy_its_law_makes(law: object, ratio: float, within: 
 
 def test_models_cover_what_the_readme_says() -> None:
     assert {path.stem for path in MODELS} == {
-        "chain", "engine_mounts", "mini", "pair", "post_newton_contact", "stick_slip", "user_force",
+        "chain", "engine_mounts", "kapitza", "mini", "pair", "post_newton_contact", "stick_slip",
+        "user_force",
     }  # fmt: skip
 
 

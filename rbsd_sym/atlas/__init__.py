@@ -7,6 +7,6 @@ see; `NUMBER` orders it; `study(full) -> {name: Table}` measures, in seconds unl
 `draw(tables) -> Figure` shows the tables.
 """
 
-from .pages import Page, make, pages
+from .pages import Page, contents, make, pages
 
-__all__ = ["Page", "make", "pages"]
+__all__ = ["Page", "contents", "make", "pages"]

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Tables = Mapping[str, Table]
+_ROWS = 40  # of a table, beyond which the page refers to its file
 _COMMAND = "python -m rbsd_sym stability --all"
 
 
@@ -36,7 +37,7 @@ def pages() -> tuple[Page, ...]:
     for module in pkgutil.iter_modules([str(Path(__file__).parent)]):
         page = importlib.import_module(f"{package}.{module.name}")
         if hasattr(page, "NUMBER"):
-            title, _, text = page.__doc__.partition("\n")
+            title, _, text = (page.__doc__ or "").partition("\n")
             found.append(
                 Page(
                     page.NUMBER, module.name, title.rstrip("."), text.strip(), page.study, page.draw
@@ -59,8 +60,28 @@ def make(page: Page, folder: Path, full: bool = True) -> Tables:
     )
     lines = [f"# {page.title}", page.text, f"![{page.title}]({stem}.png)", f"`{_COMMAND}`"]
     for name, table in tables.items():
-        table.to_csv(folder / f"{stem}_{name}.csv")
-        lines.append(f"## {name.replace('_', ' ')}\n\n{table.to_markdown()}")
-    text = "\n\n".join(lines) + "\n"
-    write_whole(folder / f"{stem}.md", lambda file: file.write(text.encode()), who)
+        file = table.to_csv(folder / f"{stem}_{name}.csv").name
+        short = len(table.rows) <= _ROWS
+        shown = table.to_markdown() if short else f"{len(table.rows)} rows: [{file}]({file})"
+        lines.append(f"## {name.replace('_', ' ')}\n\n{shown}")
+    _write(folder / f"{stem}.md", lines)
     return tables
+
+
+def contents(folder: Path) -> Path:
+    """Write README.md, a list of all pages with their pictures.
+
+    Raises:
+        ValueError: the folder cannot be written to.
+    """
+    lines = ["# Where methods fail", f"`{_COMMAND}` makes these pages again."]
+    for page in pages():
+        stem = f"{page.number:02d}_{page.name}"
+        lines.append(f"## [{page.number}. {page.title}]({stem}.md)\n\n{page.text}\n\n"
+                     f"![{page.title}]({stem}.png)")  # fmt: skip
+    return _write(folder / "README.md", lines)
+
+
+def _write(path: Path, paragraphs: list[str]) -> Path:
+    text = "\n\n".join(paragraphs) + "\n"
+    return write_whole(path, lambda file: file.write(text.encode()), f"atlas '{path.stem}'")

@@ -3,5 +3,6 @@
 from .columns import trajectory
 from .motion import animate, snapshot
 from .precision import work_precision
+from .stability import stability_map
 
-__all__ = ["animate", "snapshot", "trajectory", "work_precision"]
+__all__ = ["animate", "snapshot", "stability_map", "trajectory", "work_precision"]

@@ -6,10 +6,8 @@ import base64
 import html
 import io
 import json
-import os
 import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np

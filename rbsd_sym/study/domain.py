@@ -1,0 +1,107 @@
+"""Where a motion leaves the angles that its laws and coordinates can tell apart."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..laws import Standard
+from ..model import Model
+from ..trajectory import Trajectory
+from .table import Table
+
+_MARGIN = 5.0  # deg, from the limit, within which it is told
+_VECTOR = "turn the joint frames so that rest is at zero, or keep the angle below 180 deg"
+_PITCH = "use law=Consistent(), or turn the joint frame so that the hinge axis is its z"
+_BODY = "use formulation=Quaternion()"
+
+
+class _Limit(NamedTuple):
+    """An angle (n,) with a limit, both rad, and after which saved points it jumped."""
+
+    where: str
+    angle: str
+    size: np.ndarray
+    limit: float
+    jumped: np.ndarray
+    remedy: str
+
+
+def domain(model: Model, trajectory: Trajectory, margin: float = _MARGIN) -> Table:
+    """Angles of connectors and bodies that came near a limit, or went through it.
+
+    The limits: the rotation vector of `Intrinsic` and `Consistent` jumps at 180 degrees; `Standard`
+    measures Tait-Bryan angles, whose pitch is singular at 90 degrees and whose roll and yaw jump at
+    180; bodies in `TaitBryan` coordinates are singular at a pitch of 90 degrees. A jump is seen
+    between two saved points; its time is that of a steady turn between them.
+
+    Arguments:
+        margin: deg; what stayed further away from its limit is left out.
+
+    Returns:
+        Table: where, angle, limit (deg), nearest (deg), t (s) of the nearest or of the first
+            passage, crossed, remedy.
+
+    Raises:
+        ValueError: the model was not compiled from a scene.
+    """
+    rows = [row for limit in _limits(model, trajectory)
+            if (row := _row(limit, trajectory.t))[3] >= row[2] - margin]  # fmt: skip
+    columns = ("where", "angle", "limit", "nearest", "t", "crossed", "remedy")
+    return Table(columns, ("", "", "deg", "deg", "s", "", ""), tuple(rows))
+
+
+def _limits(model: Model, trajectory: Trajectory) -> list[_Limit]:
+    if model.scene is None:
+        raise ValueError(
+            f"model '{model.name}': no scene to look at; make it by compile_scene(scene)"
+        )
+    found: list[_Limit] = []
+    for connector in model.scene.connectors:
+        if connector.acts:
+            where = f"connector '{connector.name}', {type(connector.law).__name__}"
+            rotation = trajectory[f"{connector.name}.rotation"]
+            tell = _of_angles if isinstance(connector.law, Standard) else _of_vector
+            found += tell(where, rotation)
+    kept = {label.name for label in model.x_labels}
+    for body in model.scene.bodies:
+        if f"{body.name}.a_y" in kept:
+            a = np.column_stack([trajectory[f"{body.name}.a_{axis}"] for axis in "xyz"])
+            turn = np.abs(np.diff(a[:, [0, 2]], axis=0))
+            size = np.pi / 2 - np.abs(np.abs(a[:, 1]) - np.pi / 2)
+            jumped = (turn > np.pi / 2).all(axis=1) | (np.diff(np.abs(a[:, 1]) > np.pi / 2) != 0)
+            found.append(
+                _Limit(f"body '{body.name}', TaitBryan", "pitch", size, np.pi / 2, jumped, _BODY)
+            )
+    return found
+
+
+def _of_vector(where: str, rotation: np.ndarray) -> list[_Limit]:
+    jumped = np.linalg.norm(np.diff(rotation, axis=0), axis=1) > np.pi
+    size = np.linalg.norm(rotation, axis=1)
+    return [_Limit(where, "rotation", size, np.pi, jumped, _VECTOR)]
+
+
+def _of_angles(where: str, rotation: np.ndarray) -> list[_Limit]:
+    turn, size = np.abs(np.diff(rotation, axis=0)), np.abs(rotation)
+    over = (turn[:, 0] > np.pi / 2) & (turn[:, 2] > np.pi / 2)
+    limits = [_Limit(where, "pitch", size[:, 1], np.pi / 2, over, _PITCH)]
+    for i, name in ((0, "roll"), (2, "yaw")):
+        wrapped = (turn[:, i] > 3 * np.pi / 2) & ~over
+        limits.append(_Limit(where, name, size[:, i], np.pi, wrapped, _VECTOR))
+    return limits
+
+
+def _row(limit: _Limit, t: np.ndarray) -> tuple[Any, ...]:
+    crossed = bool(limit.jumped.any())
+    if crossed:
+        i = int(np.argmax(limit.jumped))
+        before, after = (max(limit.limit - size, 0.0) for size in limit.size[i : i + 2])
+        share = before / (before + after) if before + after > 0 else 0.5
+        nearest, at = limit.limit, t[i] + share * (t[i + 1] - t[i])
+    else:
+        i = int(np.argmax(limit.size))
+        nearest, at = limit.size[i], t[i]
+    degrees = (float(np.rad2deg(value)) for value in (limit.limit, nearest))
+    return (limit.where, limit.angle, *degrees, float(at), crossed, limit.remedy)
