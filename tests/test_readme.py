@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import rbsd_sym as rs
@@ -27,7 +28,7 @@ def blocks(language: str) -> list[str]:
 def test_python_and_c_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {}
-    scene, compiled, script, _ = blocks("python")
+    scene, compiled, script, *_ = blocks("python")
     exec(compile(scene, "README.md", "exec"), namespace)
     trajectory = namespace["trajectory"]
     assert isinstance(trajectory, rs.Trajectory)
@@ -70,6 +71,25 @@ def test_block_with_events(capsys: pytest.CaptureFixture[str]) -> None:
     mode, place = (float(word) for word in last.split())
     assert mode == 0  # it has come to rest, near v^2 / (2 mu g)
     assert place == pytest.approx(4 / (2 * 0.3 * 9.81), rel=0.06)
+
+
+def test_block_about_stability(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene, *_, linear = (b for b in blocks("python") if "Scene(" not in b or "swing" in b)
+    namespace: dict[str, object] = {}
+    exec(compile(scene.split("jacobian =")[0] + linear, "README.md", "exec"), namespace)
+    found, gradient = namespace["linear"], namespace["gradient"]
+    assert isinstance(found, rs.linear.Linear)
+    assert found.stable
+    # The damper along x: 20 N s/m on 2 kg.
+    assert np.abs(found.eigenvalues.real + 5).min() < 1e-4
+    model, step = namespace["model"], 1.0
+    assert isinstance(model, rs.Model)
+    ends = [rs.simulate(model, 1.0, rs.Idas(1e-12, 1e-14), params={"k": 2e4 + s})["arm.position"][-1]
+            for s in (-step, step)]  # fmt: skip
+    difference = (ends[1] - ends[0]) / (2 * step)
+    np.testing.assert_allclose(gradient["arm.position"][:, 0], difference, atol=1e-11)
+    assert (tmp_path / "map.png").stat().st_size > 1e4
 
 
 @pytest.mark.parametrize("path", MODELS, ids=lambda p: p.stem)

@@ -27,8 +27,22 @@ nothing about the point, and the next call with the same file runs that point ag
 """
 
 from .contenders import contenders
+from .domain import domain
 from .precision import Reference, converged, work_precision
+from .recommend import Recommendation, recommend
+from .stability import stability_map
 from .sweep import sweep
 from .table import Table
 
-__all__ = ["Reference", "Table", "contenders", "converged", "sweep", "work_precision"]
+__all__ = [
+    "Recommendation",
+    "Reference",
+    "Table",
+    "contenders",
+    "converged",
+    "domain",
+    "recommend",
+    "stability_map",
+    "sweep",
+    "work_precision",
+]
