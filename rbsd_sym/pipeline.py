@@ -114,8 +114,8 @@ def simulate(
             f"simulate: integrator {integrator.__name__}; give an object, such as Idas()"
         )
     experiment = make_experiment(model, times, inputs or {}, params or {}, start or {})
-    trajectory = _across_reduction(model, (integrator or Idas()).solve(model, experiment))
-    unstable = trajectory.outcome is Outcome.unstable_across_reduction
+    trajectory = across_reduction(model, (integrator or Idas()).solve(model, experiment))
+    unstable = trajectory.outcome is Outcome.unstableacross_reduction
     if (throw and not trajectory.outcome.ok) or (throw_unstable and unstable):
         raise IntegrationError(trajectory)
     if unstable:
@@ -123,14 +123,14 @@ def simulate(
     return trajectory
 
 
-def _across_reduction(model: Model, trajectory: Trajectory) -> Trajectory:
+def across_reduction(model: Model, trajectory: Trajectory) -> Trajectory:
     """The trajectory, and its outcome if the motion left out is unstable."""
     if trajectory.outcome is not Outcome.reached_end:
         return trajectory
     growth = model.transverse_growth(trajectory)
     if growth.exponent < _GROWTH_WORTH_A_WARNING:
         return trajectory
-    outcome = Outcome.unstable_across_reduction
+    outcome = Outcome.unstableacross_reduction
     report = (
         f"{outcome.value}: it grows with {growth.rate:.4g} 1/s at t = {growth.t:.4g} s, by a "
         f"factor of {np.exp(min(growth.exponent, 700.0)):.3g} over the run; "

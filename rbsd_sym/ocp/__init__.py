@@ -1,1 +1,54 @@
-"""Optimal control on the same model."""
+"""Optimal control on the same model.
+
+    problem = rs.ocp.Problem(
+        model,
+        rs.ocp.Phase(
+            rs.ocp.Free(4.0, low=1.0, high=10.0),           # horizon in s
+            end={"hub.position": (1, 0, 0), "hub.v_x": 0},
+            path={"rod.force_local": (-0.4, 0.4)},
+            integral=lambda v: v["rod.rotation"][2] ** 2 + 0.1 * push**2,
+            end_cost=rs.TIME,
+        ),
+        inputs={"push": rs.ocp.Free(low=-1, high=1)},
+        params={"k": rs.ocp.Free(2e4, low=1e4, high=1e5)},  # found together with the motion
+    )
+    solution = rs.ocp.optimise(problem, rs.ocp.Collocation(30, degree=4, refine=1e-6))
+
+A `Problem` knows no method, `Collocation` and `Shooting` know no solver, `Ipopt` and `Fatrop` know
+no model: any goes with any. On the way
+
+    Problem --framed--> Frame --interval--> Interval --chained--> Chain (Nlp) --solve--> Answer
+                                                 Solution <--flown-- Plan <--read--+
+
+a `Frame` is the problem on the symbols of its model, an `Interval` one stage of the transcription
+with exact derivatives, a `Chain` all stages, a `Plan` what the numbers of the answer mean.
+"""
+
+from .collocation import Collocation
+from .flight import Flight
+from .nlp import Nlp
+from .optimise import optimise, transcribe
+from .problem import Bound, Free, Phase, Problem
+from .shooting import Shooting
+from .solution import OptimisationError, Pieces, Solution
+from .solvers import Fatrop, Ipopt, Iteration, Outcome
+
+__all__ = [
+    "Bound",
+    "Collocation",
+    "Fatrop",
+    "Flight",
+    "Free",
+    "Ipopt",
+    "Iteration",
+    "Nlp",
+    "OptimisationError",
+    "Outcome",
+    "Phase",
+    "Pieces",
+    "Problem",
+    "Shooting",
+    "Solution",
+    "optimise",
+    "transcribe",
+]

@@ -1,0 +1,240 @@
+"""The chain of stages of a problem: nodes at the ends of phases, intervals between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from ..parts import Label
+from .elastic import loosened
+from .ends import End, at_end, at_start, opened
+from .frame import Frame
+from .interval import Interval
+from .nlp import Nlp, Segment, StageFunctions
+
+
+class Start(Protocol):
+    """Where a search starts: values at fractions (n,) of a phase, (n_.., n)."""
+
+    @property
+    def s(self) -> np.ndarray:
+        """Constants."""
+        ...
+
+    def x(self, phase: int, at: np.ndarray) -> np.ndarray:
+        """States."""
+        ...
+
+    def z(self, phase: int, at: np.ndarray) -> np.ndarray:
+        """Algebraic unknowns."""
+        ...
+
+    def v(self, phase: int, at: np.ndarray) -> np.ndarray:
+        """Inputs that are to be found."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A transcribed problem.
+
+    Fields:
+        intervals, mesh: of each phase.
+        kinds: of each segment of the program, whether it is a "start", "interval" or "end".
+    """
+
+    frame: Frame
+    intervals: tuple[Interval, ...]
+    mesh: tuple[np.ndarray, ...]
+    nlp: Nlp
+    kinds: tuple[str, ...]
+
+    def segments(self, kind: str) -> dict[int, int]:
+        """Number of the segment of a kind, by phase."""
+        parts = zip(self.kinds, self.nlp.segments, strict=True)
+        return {part.phase: k for k, (own, part) in enumerate(parts) if own == kind}
+
+
+def chained(
+    frame: Frame, intervals: Sequence[Interval], mesh: tuple[np.ndarray, ...], guess: Start,
+    elastic: bool = False,
+) -> Chain:  # fmt: skip
+    """The stages of all phases.
+
+    Arguments:
+        elastic: conditions along the path and at the ends of phases may be missed, and what they
+            are missed by is the cost.
+    """
+    parts: list[tuple[str, Segment]] = []
+    for i in range(frame.n_phases):
+        begin = at_start(frame, i)
+        if begin.labels:
+            parts.append(("start", _node(frame, i, begin, guess, first=i == 0, last=False)))
+        body = _body(frame, i, intervals[i], mesh[i], guess, None if begin.labels else begin.box)
+        end = at_end(frame, i)
+        node = _node(frame, i, opened(frame, end) if elastic else end, guess, False, True)
+        if elastic:
+            body, node = loosened(body, "path"), loosened(node, "end")
+        parts += [("interval", body), ("end", node)]
+    nlp = Nlp(tuple(part for _, part in parts))
+    return Chain(frame, tuple(intervals), mesh, nlp, tuple(kind for kind, _ in parts))
+
+
+def _body(
+    frame: Frame, i: int, interval: Interval, mesh: np.ndarray, guess: Start,
+    begin: np.ndarray | None,
+) -> Segment:  # fmt: skip
+    """The intervals of a phase; `begin` are bounds of the states at the first, if it is theirs."""
+    starts, lengths = mesh[:-1], np.diff(mesh)
+    labels = _groups(frame)
+    y = _handed_on(frame, i, guess, starts)
+    low, high, values, names, when = [y[0]], [y[1]], [y[2]], list(_y_labels(frame)), []
+    when += [0.0] * frame.n_y
+    limits = {kind: _path_box(frame, i, kind) for kind in "xzu"}
+    for kind, tau in interval.variables:
+        at = starts + tau * lengths
+        found = {"x": guess.x, "z": guess.z, "u": guess.v}[kind](i, at)
+        box = limits[kind]
+        low.append(np.repeat(box[0][:, None], len(at), axis=1))
+        high.append(np.repeat(box[1][:, None], len(at), axis=1))
+        values.append(found)
+        names += labels[kind]
+        when += [tau] * len(labels[kind])
+    lower, upper = np.vstack(low), np.vstack(high)
+    if begin is not None:
+        lower[: frame.model.n_x, 0], upper[: frame.model.n_x, 0] = begin
+        _fix_unused(frame, i, lower, upper)
+    row_low, row_high, rows, row_when, kinds = _interval_rows(frame, i, interval)
+    return Segment(
+        interval.functions, np.vstack([lengths, starts]), frame.n_y, frame.n_y, lower, upper,
+        np.clip(np.vstack(values), lower, upper), row_low, row_high, tuple(names), rows,
+        (np.array(when), row_when), i, np.vstack([starts, mesh[1:]]).T, kinds,
+    )  # fmt: skip
+
+
+def _groups(frame: Frame) -> dict[str, tuple[Label, ...]]:
+    dae = frame.model.dae
+    return {"x": dae.x_labels, "z": dae.z_labels,
+            "u": tuple(dae.u_labels[k] for k in frame.controls)}  # fmt: skip
+
+
+def _y_labels(frame: Frame) -> tuple[Label, ...]:
+    return (*frame.model.x_labels, *frame.s_labels, *_groups(frame)["u"][: frame.n_m])
+
+
+def _fix_unused(frame: Frame, i: int, low: np.ndarray, high: np.ndarray) -> None:
+    """Nothing comes before the first stage, whose Inputs could be handed on."""
+    if i == 0 and frame.n_m:
+        rows = slice(frame.n_y - frame.n_m, frame.n_y)
+        low[rows, 0] = high[rows, 0] = 0.0
+
+
+def _handed_on(
+    frame: Frame, i: int, guess: Start, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bounds and guess of y at fractions of a phase."""
+    n = len(at)
+    box = _path_box(frame, i, "x")
+    free = np.full(frame.n_m, np.inf)
+    low = np.concatenate([box[0], frame.s_low, -free])
+    high = np.concatenate([box[1], frame.s_high, free])
+    values = np.vstack([
+        guess.x(i, at), np.repeat(guess.s[:, None], n, axis=1), guess.v(i, at)[: frame.n_m]
+    ])  # fmt: skip
+    return np.repeat(low[:, None], n, axis=1), np.repeat(high[:, None], n, axis=1), values
+
+
+def _path_box(frame: Frame, i: int, kind: str) -> np.ndarray:
+    """Bounds (2, n) of variables along a phase; of Inputs also those of the problem."""
+    labels = _groups(frame)[kind]
+    box = frame.terms[i].path.limits(labels)
+    if kind == "u":
+        for k, label in enumerate(labels):
+            own = frame.problem.inputs[label.name]
+            pair = max(box[0, k], own.low), min(box[1, k], own.high)
+            if pair[0] > pair[1]:
+                raise ValueError(
+                    f"phase {i}, path '{label.name}': bounds {box[0, k]:.6g} ... {box[1, k]:.6g} "
+                    f"{label.unit} and those of the Input {own.low:.6g} ... {own.high:.6g} "
+                    "contradict each other"
+                )
+            box[:, k] = pair
+    return box
+
+
+def _interval_rows(
+    frame: Frame, i: int, interval: Interval
+) -> tuple[np.ndarray, np.ndarray, tuple[Label, ...], np.ndarray, tuple[str, ...]]:
+    """Bounds, labels, places and kinds of the rows of an interval, after what it hands on."""
+    path, groups = frame.terms[i].path.rows, _groups(frame)
+    zero = {"rate": groups["x"], "alg": groups["z"]}
+    low, high, labels, when = [np.zeros(0)], [np.zeros(0)], [], [0.0] * frame.n_y
+    kinds = ["motion"] * frame.n_y
+    for kind, tau in interval.rows:
+        own = zero.get(kind, path.labels)
+        low.append(np.zeros(len(own)) if kind in zero else path.low)
+        high.append(np.zeros(len(own)) if kind in zero else path.high)
+        prefix = {"rate": "rate of ", "alg": "balance of "}.get(kind, "")
+        labels += [Label(prefix + label.name, label.unit) for label in own]
+        when += [tau] * len(own)
+        kinds += [kind] * len(own)
+    names = tuple(Label(f"motion of {v.name}", v.unit) for v in _y_labels(frame))
+    both = np.concatenate(low), np.concatenate(high)
+    return *both, (*names, *labels), np.array(when), tuple(kinds)
+
+
+def _node(frame: Frame, i: int, end: End, guess: Start, first: bool, last: bool) -> Segment:
+    """The node at an end of a phase: w = [y; z if needed]."""
+    at = np.array([1.0 if last else 0.0])
+    final = last and i == frame.n_phases - 1
+    z_cost = last and frame.feels(frame.terms[i].end_cost, *_link(frame, i))[0]
+    n_z = frame.model.n_z if end.feels_z or z_cost else 0
+    low, high, values = _handed_on(frame, i, guess, at)
+    low[: frame.model.n_x, 0], high[: frame.model.n_x, 0] = end.box
+    if first:
+        _fix_unused(frame, i, low, high)
+    unknowns, far = frame.model.dae.z_labels[:n_z], np.full((n_z, 1), np.inf)
+    labels = (*_y_labels(frame), *unknowns)
+    lower, upper = np.vstack([low, -far]), np.vstack([high, far])
+    start = np.clip(np.vstack([values, guess.z(i, at)[:n_z]]), lower, upper)
+    names = tuple(Label(f"link of {v.name}", v.unit) for v in _y_labels(frame))
+    rows = (*names[: 0 if final else frame.n_y], *unknowns, *end.labels)
+    balance = np.zeros(n_z)
+    return Segment(
+        _node_functions(frame, i, end, n_z, last, final), np.zeros((0, 1)), frame.n_y,
+        0 if final else frame.n_y, lower, upper, start, np.concatenate([balance, end.low]),
+        np.concatenate([balance, end.high]), labels, rows,
+        (np.zeros(len(labels)), np.zeros(len(rows))), i, np.array([[at[0], at[0]]]),
+        ("link",) * (0 if final else frame.n_y) + ("alg",) * n_z + ("end",) * len(end.labels),
+    )  # fmt: skip
+
+
+def _link(frame: Frame, i: int) -> list[ca.SX]:
+    """States after the end of a phase by those before, if they jump."""
+    link = frame.terms[i + 1].link if i + 1 < frame.n_phases else None
+    return [] if link is None else [link]
+
+
+def _node_functions(
+    frame: Frame, i: int, end: End, n_z: int, last: bool, final: bool
+) -> StageFunctions:
+    w, c = ca.SX.sym("w", frame.n_y + n_z), ca.SX.sym("c", 0)
+    x, s, m = frame.split(w[: frame.n_y])
+    z = w[frame.n_y :] if n_z else ca.SX.zeros(frame.model.n_z)
+    v = m if frame.n_m else ca.SX.zeros(frame.n_v)
+    t0, length = frame.span(i, s)
+    t = t0 + length if last else t0
+    rows, alg = end.rows(t, x, z, v, s)
+    cost, following = ca.SX(0), w[: frame.n_y]
+    if last:
+        own = frame.over("own", frame.terms[i].end_cost, *_link(frame, i))
+        cost, *link = own.call([ca.SX(a) for a in (t, x, z, v, s)])
+        following = ca.vertcat(link[0], s, m) if link else following
+    if final:
+        following = ca.SX(0, 1)
+    both = ca.vertcat(alg if n_z else ca.SX(0, 1), rows)
+    return StageFunctions.derived("node", w, c, following, both, cost)

@@ -1,0 +1,271 @@
+"""The solvers of nonlinear programs, through CasADi: IPOPT and fatrop."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from .nlp import Nlp
+
+
+class Outcome(Enum):
+    """How an optimisation ended; the value is the message."""
+
+    optimal = "optimal"
+    acceptable = "the solver stopped near an optimum, short of its tolerance"
+    unstable_across_reduction = "a motion left out of the minimal model is unstable"
+    infeasible = "no motion found that meets all conditions"
+    iteration_limit = "the solver reached its limit of iterations"
+    not_finite = "a function or derivative is not finite"
+    stopped = "stopped by the progress function"
+    failed = "the solver gave up"
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is a plan that meets the conditions."""
+        return self in (
+            Outcome.optimal, Outcome.acceptable, Outcome.unstable_across_reduction
+        )  # fmt: skip
+
+
+class Iteration(NamedTuple):
+    """What a progress function is called with.
+
+    Fields:
+        violation: largest violation of an equation or bound.
+    """
+
+    number: int
+    cost: float
+    violation: float
+
+
+Progress = Callable[[Iteration], Any]
+"""Called at every iteration; stops the solver if it returns True."""
+
+
+class Answer(NamedTuple):
+    """Raw result of a solver; `seconds` is the time of the call alone."""
+
+    x: np.ndarray
+    cost: float
+    lam_x: np.ndarray
+    lam_g: np.ndarray
+    outcome: Outcome
+    message: str
+    iterations: int
+    seconds: float = 0.0
+
+
+_RELAXED = 1e-8  # by this, relative to 1 or the bound, fatrop widens bounds
+_IPOPT = {
+    "Solve_Succeeded": Outcome.optimal,
+    "Solved_To_Acceptable_Level": Outcome.acceptable,
+    "Feasible_Point_Found": Outcome.optimal,
+    "Search_Direction_Becomes_Too_Small": Outcome.acceptable,
+    "Infeasible_Problem_Detected": Outcome.infeasible,
+    "Restoration_Failed": Outcome.infeasible,
+    "Maximum_Iterations_Exceeded": Outcome.iteration_limit,
+    "Maximum_CpuTime_Exceeded": Outcome.iteration_limit,
+    "Maximum_WallTime_Exceeded": Outcome.iteration_limit,
+    "Invalid_Number_Detected": Outcome.not_finite,
+    "User_Requested_Stop": Outcome.stopped,
+}
+
+
+@dataclass(frozen=True)
+class Ipopt:
+    """IPOPT [Waechter, Biegler 2006] with MUMPS, exact derivatives, and no output.
+
+    Arguments:
+        tol: on the scaled optimality error.
+        max_iterations: at most.
+        options: more of IPOPT's options, by their names.
+    """
+
+    tol: float = 1e-9
+    max_iterations: int = 500
+    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def solve(
+        self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None
+    ) -> Answer:  # fmt: skip
+        """Solve from `start`: x0, and lam_x0, lam_g0 for a warm start."""
+        warm = "lam_g0" in start
+        own = {
+            "print_level": 0, "sb": "yes", "tol": self.tol, "max_iter": self.max_iterations,
+            "bound_relax_factor": 0.0,
+        }  # fmt: skip
+        if warm:
+            own |= {"warm_start_init_point": "yes", "mu_init": 1e-6,
+                    "warm_start_bound_push": 1e-9, "warm_start_mult_bound_push": 1e-9,
+                    "warm_start_slack_bound_push": 1e-9,
+                    "warm_start_slack_bound_frac": 1e-9, "warm_start_bound_frac": 1e-9}  # fmt: skip
+        functions = dict(nlp.functions)
+        hess = functions["nlp_hess_l"]
+        symbols = hess.mx_in()
+        upper = ca.triu(hess(*symbols))
+        functions["nlp_hess_l"] = ca.Function(
+            "nlp_hess_l", symbols, [upper], hess.name_in(), ["triu_hess_gamma_x_x"]
+        )
+        options = {"ipopt": own | dict(self.options)}
+        return _called(nlp, "ipopt", functions, options, start, progress, _ipopt_outcome)
+
+
+@dataclass(frozen=True)
+class Fatrop:
+    """Fatrop [Vanroye, Sathya, De Schutter, Decre 2023]: uses the chain of stages.
+
+    Arguments:
+        tol: on the optimality error.
+        max_iterations: at most.
+        options: more of fatrop's options, by their names.
+    """
+
+    tol: float = 1e-10
+    max_iterations: int = 500
+    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def solve(
+        self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None
+    ) -> Answer:  # fmt: skip
+        """Solve from `start`: x0.
+
+        Raises:
+            ValueError: a progress function, for which fatrop has no place.
+        """
+        if progress is not None:
+            raise ValueError(
+                "Fatrop: it tells of no progress; use Ipopt() with a progress function"
+            )
+        own = {"print_level": 0, "tol": self.tol, "max_iter": self.max_iterations}
+        functions = dict(nlp.functions)
+        hess = functions["nlp_hess_l"]
+        symbols = hess.mx_in()
+        gradient = functions["nlp_grad"](*symbols)[2]
+        functions["nlp_hess_l"] = ca.Function(
+            "nlp_hess_l", symbols, [gradient, hess(*symbols)], hess.name_in(),
+            ["grad_gamma_x", "hess_gamma_x_x"],
+        )  # fmt: skip
+        functions["nlp_grad_f"] = ca.Function(
+            "nlp_grad_f", symbols[:2], [functions["nlp_grad_f"](*symbols[:2])[1]], ["x", "p"],
+            ["grad_f_x"],
+        )  # fmt: skip
+        options = {"fatrop": own | dict(self.options), "structure_detection": "manual",
+                   **nlp.structure}  # fmt: skip
+        return _called(
+            nlp, "fatrop", functions, options, {**_inside(nlp), **start}, None, _fatrop_outcome
+        )  # fmt: skip
+
+
+def _inside(nlp: Nlp) -> dict[str, np.ndarray]:
+    """Bounds moved inwards by as much as fatrop moves them outwards."""
+    bounds, found = nlp.bounds, {}
+    for key in ("x", "g"):
+        low, high = bounds[f"lb{key}"], bounds[f"ub{key}"]
+        room = [_RELAXED * np.maximum(1.0, np.abs(np.nan_to_num(side, posinf=0, neginf=0)))
+                for side in (low, high)]  # fmt: skip
+        open_ = high - low > 4 * (room[0] + room[1])
+        found[f"lb{key}"] = np.where(open_, low + room[0], low)
+        found[f"ub{key}"] = np.where(open_, high - room[1], high)
+    return found
+
+
+def _called(
+    nlp: Nlp, plugin: str, functions: dict[str, ca.Function], options: dict[str, Any],
+    start: Mapping[str, np.ndarray], progress: Progress | None, judge: Callable[[Any], Outcome],
+) -> Answer:  # fmt: skip
+    whole = functions.pop("nlp")
+    follower = _Follower(nlp, progress) if progress else None
+    own = options | {"print_time": False, "error_on_fail": False, "cache": functions,
+                     "calc_lam_p": False}  # fmt: skip
+    if follower:
+        own["iteration_callback"] = follower
+    arguments = {**nlp.bounds, **start}
+    try:
+        solver = ca.nlpsol("solver", plugin, whole, own)
+    except RuntimeError as error:
+        raise ValueError(
+            f"{plugin} refuses its options {options[plugin]} "
+            f"({str(error).strip().splitlines()[-1]}); check their names"
+        ) from error
+    messages = io.StringIO()
+    with contextlib.redirect_stdout(messages), contextlib.redirect_stderr(messages):
+        try:
+            begun = time.perf_counter()
+            result = solver(**arguments)
+            seconds = time.perf_counter() - begun
+            stats = solver.stats()
+        except RuntimeError as error:
+            result, stats = None, {"return_status": str(error).strip().splitlines()[-1]}
+    if follower and follower.error:
+        raise follower.error
+    if result is None:
+        empty = np.zeros(nlp.m)
+        message = str(stats["return_status"])
+        return Answer(arguments["x0"], math.nan, np.zeros(nlp.n), empty, Outcome.failed, message, 0)
+    found = {key: np.array(value).reshape(-1) for key, value in result.items()}
+    status = stats["return_status"]
+    outcome = judge(status)
+    if outcome.ok and not np.isfinite(found["x"]).all():
+        outcome = Outcome.not_finite
+    return Answer(
+        found["x"], float(found["f"][0]), found["lam_x"], found["lam_g"], outcome,
+        f"{plugin}: {status}", int(stats.get("iter_count", 0)), seconds,
+    )  # fmt: skip
+
+
+def _ipopt_outcome(status: Any) -> Outcome:
+    return _IPOPT.get(str(status), Outcome.failed)
+
+
+def _fatrop_outcome(status: Any) -> Outcome:
+    return Outcome.optimal if str(status) == "0" else Outcome.failed
+
+
+class _Follower(ca.Callback):
+    """Hands every iteration to the user's function."""
+
+    def __init__(self, nlp: Nlp, progress: Progress) -> None:
+        ca.Callback.__init__(self)
+        self.nlp, self.progress, self.count = nlp, progress, 0
+        self.bounds = nlp.bounds
+        self.error: Exception | None = None
+        self.construct("progress", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        sizes = {"f": 1, "x": self.nlp.n, "lam_x": self.nlp.n, "g": self.nlp.m,
+                 "lam_g": self.nlp.m}  # fmt: skip
+        return ca.Sparsity.dense(sizes.get(ca.nlpsol_out(i), 0), 1)
+
+    def eval(self, arg: list[ca.DM]) -> list[int]:
+        found = dict(zip(ca.nlpsol_out(), (np.array(a).reshape(-1) for a in arg), strict=True))
+        bounds = self.bounds
+        gaps = [bounds["lbg"] - found["g"], found["g"] - bounds["ubg"],
+                bounds["lbx"] - found["x"], found["x"] - bounds["ubx"]]  # fmt: skip
+        violation = max((float(gap.max(initial=0.0)) for gap in gaps), default=0.0)
+        cost = float(found["f"][0])
+        try:
+            stop = self.progress(Iteration(self.count, cost, violation))
+        except Exception as error:
+            self.error, stop = error, True  # raised again once the solver has returned
+        self.count += 1
+        return [int(bool(stop))]
