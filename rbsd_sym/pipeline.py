@@ -115,7 +115,7 @@ def simulate(
         )
     experiment = make_experiment(model, times, inputs or {}, params or {}, start or {})
     trajectory = across_reduction(model, (integrator or Idas()).solve(model, experiment))
-    unstable = trajectory.outcome is Outcome.unstableacross_reduction
+    unstable = trajectory.outcome is Outcome.unstable_across_reduction
     if (throw and not trajectory.outcome.ok) or (throw_unstable and unstable):
         raise IntegrationError(trajectory)
     if unstable:
@@ -130,7 +130,7 @@ def across_reduction(model: Model, trajectory: Trajectory) -> Trajectory:
     growth = model.transverse_growth(trajectory)
     if growth.exponent < _GROWTH_WORTH_A_WARNING:
         return trajectory
-    outcome = Outcome.unstableacross_reduction
+    outcome = Outcome.unstable_across_reduction
     report = (
         f"{outcome.value}: it grows with {growth.rate:.4g} 1/s at t = {growth.t:.4g} s, by a "
         f"factor of {np.exp(min(growth.exponent, 700.0)):.3g} over the run; "

@@ -234,8 +234,8 @@ def _solution(
         path = replace(path, outcome=Reached.solver_failed, report=report)
     else:
         path = across_reduction(frame.model, path)
-        if path.outcome is Reached.unstableacross_reduction:
-            outcome, report = Outcome.unstableacross_reduction, path.report
+        if path.outcome is Reached.unstable_across_reduction:
+            outcome, report = Outcome.unstable_across_reduction, path.report
     labels = (*frame.model.dae.p_labels, *frame.model.dae.idle_p_labels)
     values = [float(value) for value in frame.parameters(plan.s)]
     functions = chain.nlp.functions

@@ -9,6 +9,7 @@ near 1e-8 and then grow with the number of steps, where `rxyz` goes on to roundi
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -85,18 +86,20 @@ class System:
                 at = mbs.AddMarker(items.MarkerBodyMass(bodyNumber=bodies[-1]))
                 mbs.AddLoad(items.LoadMassProportional(markerNumber=at, loadVector=g))
         for c in scene["connectors"]:
-            c, markers = dict(c), []
-            for i, at in [(c.pop(f"body{end}"), c.pop(f"position{end}")) for end in "01"]:
-                body = ground if i == GROUND else bodies[i]
-                marker = items.MarkerBodyRigid(bodyNumber=body, localPosition=at)
-                markers.append(mbs.AddMarker(marker))
+            c = dict(c)
             mbs.AddObject(items.ObjectConnectorRigidBodySpringDamper(
-                markerNumbers=markers, stiffness=np.array(c.pop("stiffness")),
+                markerNumbers=_markers(mbs, c, bodies, ground),
+                stiffness=np.array(c.pop("stiffness")),
                 damping=np.array(c.pop("damping")), offset=c.pop("offset"),
                 useIntrinsicFormulation=scene["law"] == "intrinsic",
             ))  # fmt: skip
             if c:
                 raise ValueError(f"entries of a connector not known here: {sorted(c)}")
+        for s in scene.get("point_springs", ()):
+            mbs.AddObject(items.ObjectConnectorSpringDamper(
+                markerNumbers=_markers(mbs, dict(s), bodies, ground), stiffness=s["stiffness"],
+                damping=s["damping"], referenceLength=s["length"],
+            ))  # fmt: skip
         mbs.Assemble()
 
     def state(self) -> Array:
@@ -107,12 +110,18 @@ class System:
         q = [rotations.to_quaternion(R.reshape(3, 3)) for _, R, _, _ in read]
         return np.array([[*p, *q, *v, *w] for (p, _, v, w), q in zip(read, q, strict=True)])
 
-    def run(self, setting: Setting, t_end: float, watch: Any = None) -> Result:
-        """Solve to t_end; `watch` gets the state before every step, which costs time."""
+    def run(self, setting: Setting, t_end: float, watch: Any = None, every: int = 1) -> Result:
+        """Solve to t_end; `watch` gets the state before `every` so many steps: that costs time."""
         kinds = exu.MainSolverExplicit, exu.MainSolverImplicitSecondOrder
         solver, settings = kinds[setting.solver in IMPLICIT](), _simulation_settings(setting, t_end)
-        before_step = (lambda mbs, t: watch(self.state()) or True) if watch else 0
-        self._mbs.SetPreStepUserFunction(before_step)
+        count = itertools.count()
+
+        def before_step(mbs: Any, t: float) -> bool:
+            if next(count) % every == 0:
+                watch(self.state())
+            return True
+
+        self._mbs.SetPreStepUserFunction(before_step if watch else 0)
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             success = solver.SolveSystem(self._mbs, settings)
@@ -122,6 +131,18 @@ class System:
         if not success or not np.isfinite(state := self.state()).all():
             raise Failure(solver.GetErrorString().strip() or "not finite")
         return Result(state, cpu, wall)
+
+
+def _markers(mbs: Any, c: dict[str, Any], bodies: list[Any], ground: Any) -> list[Any]:
+    """The two markers of a connector, whose entries for them are taken out."""
+    made = []
+    for end in "01":
+        i, frame = c.pop(f"body{end}"), np.eye(4)
+        frame[:3, :3] = c.pop(f"rotation_marker{end}", np.eye(3))
+        frame[:3, 3] = c.pop(f"position{end}")
+        body = ground if i == GROUND else bodies[i]
+        made.append(mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=body, localHT=frame)))
+    return made
 
 
 def _node(kind: str, x: Array) -> Any:
