@@ -85,9 +85,9 @@ def test_block_about_stability(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert np.abs(found.eigenvalues.real + 5).min() < 1e-4
     model, step = namespace["model"], 1.0
     assert isinstance(model, rs.Model)
-    ends = [rs.simulate(model, 1.0, rs.Idas(1e-12, 1e-14), params={"k": 2e4 + s})["arm.position"][-1]
+    runs = [rs.simulate(model, 1.0, rs.Idas(1e-12, 1e-14), params={"k": 2e4 + s})
             for s in (-step, step)]  # fmt: skip
-    difference = (ends[1] - ends[0]) / (2 * step)
+    difference = (runs[1]["arm.position"][-1] - runs[0]["arm.position"][-1]) / (2 * step)
     np.testing.assert_allclose(gradient["arm.position"][:, 0], difference, atol=1e-11)
     assert (tmp_path / "map.png").stat().st_size > 1e4
 
