@@ -25,8 +25,8 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object], who: str) -> P
         os.replace(temporary, path)
     except OSError as error:
         raise ValueError(
-            f"{who}: cannot write to {path.parent} ({error.strerror}); make the folder, or choose "
-            "another"
+            f"{who}: cannot write to {path.parent} ({error.strerror or error}); make the folder, or "
+            "choose another"
         ) from error
     finally:
         temporary.unlink(missing_ok=True)

@@ -15,6 +15,7 @@ from PIL import Image
 
 import rbsd_sym as rs
 from models import pair
+from rbsd_sym import files
 from rbsd_sym.plots import motion, motion_files
 from rbsd_sym.plots.motion_camera import back_to_front, camera, hidden
 from rbsd_sym.plots.motion_track import Source, Track, track
@@ -305,9 +306,9 @@ def test_nothing_is_left_when_writing_fails(two: Run, tmp_path: Path, monkeypatc
 
     path = tmp_path / "pair.gif"
     path.write_bytes(b"before")
-    target = motion if place == "write_gif" else motion_files.os
+    target = motion if place == "write_gif" else files.os
     monkeypatch.setattr(target, place, fail)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(ValueError, match="disk full"):
         rs.plots.animate(two.model, two.trajectory, path, two.scene, fps=2, dpi=30)
     assert [p.name for p in tmp_path.iterdir()] == ["pair.gif"]
     assert path.read_bytes() == b"before"
