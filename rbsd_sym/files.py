@@ -24,9 +24,9 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object], who: str) -> P
             write(file)
         os.replace(temporary, path)
     except OSError as error:
+        why = error.strerror or error
         raise ValueError(
-            f"{who}: cannot write to {path.parent} ({error.strerror or error}); make the folder, or "
-            "choose another"
+            f"{who}: cannot write to {path.parent} ({why}); make the folder, or choose another"
         ) from error
     finally:
         temporary.unlink(missing_ok=True)

@@ -110,24 +110,34 @@ class System:
         q = [rotations.to_quaternion(R.reshape(3, 3)) for _, R, _, _ in read]
         return np.array([[*p, *q, *v, *w] for (p, _, v, w), q in zip(read, q, strict=True)])
 
-    def run(self, setting: Setting, t_end: float, watch: Any = None, every: int = 1) -> Result:
-        """Solve to t_end; `watch` gets the state before `every` so many steps: that costs time."""
+    def run(
+        self, setting: Setting, t_end: float, watch: Any = None, every: int = 1,
+        limit: float = np.inf,
+    ) -> Result:  # fmt: skip
+        """Solve to t_end.
+
+        Arguments:
+            watch: gets the state before `every` so many steps, which costs time.
+            limit: CPU seconds after which the run is given up; to look at the clock costs time.
+        """
         kinds = exu.MainSolverExplicit, exu.MainSolverImplicitSecondOrder
         solver, settings = kinds[setting.solver in IMPLICIT](), _simulation_settings(setting, t_end)
-        count = itertools.count()
+        count, deadline = itertools.count(), time.process_time() + limit
 
         def before_step(mbs: Any, t: float) -> bool:
-            if next(count) % every == 0:
+            if watch and next(count) % every == 0:
                 watch(self.state())
-            return True
+            return time.process_time() < deadline
 
-        self._mbs.SetPreStepUserFunction(before_step if watch else 0)
+        self._mbs.SetPreStepUserFunction(before_step if watch or limit < np.inf else 0)
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             success = solver.SolveSystem(self._mbs, settings)
         except (RuntimeError, ValueError) as e:
             raise Failure(str(e).strip().split("\n")[0]) from None
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+        if cpu > limit:
+            raise Failure(f"given up after {cpu:.3g} s")
         if not success or not np.isfinite(state := self.state()).all():
             raise Failure(solver.GetErrorString().strip() or "not finite")
         return Result(state, cpu, wall)
@@ -174,7 +184,7 @@ def _simulation_settings(setting: Setting, t_end: float) -> Any:
     stepping.automaticStepSize = stepping.adaptiveStep = setting.tolerance is not None
     # DOPRI5 and ODE23 fail a fixed step, too, whose error estimate is above the tolerance.
     stepping.relativeTolerance = stepping.absoluteTolerance = setting.tolerance or 1e30
-    stepping.minimumStepSize, stepping.initialStepSize = h_max * 1e-4, h_max * 1e-2
+    stepping.minimumStepSize, stepping.initialStepSize = h_max * 1e-7, h_max * 1e-2
     stepping.explicit.computeEndOfStepAccelerations = False
     stepping.explicit.computeMassMatrixInversePerBody = setting.per_body
     alpha.spectralRadius = setting.spectral_radius
