@@ -25,7 +25,9 @@ with exact derivatives, a `Chain` all stages, a `Plan` what the numbers of the a
 """
 
 from .collocation import Collocation
+from .export import export_problem
 from .flight import Flight
+from .loaded import Code, ProblemLibrary, load_problem
 from .nlp import Nlp
 from .optimise import optimise, transcribe
 from .problem import Bound, Free, Phase, Problem
@@ -35,6 +37,7 @@ from .solvers import Fatrop, Ipopt, Iteration, Outcome
 
 __all__ = [
     "Bound",
+    "Code",
     "Collocation",
     "Fatrop",
     "Flight",
@@ -47,8 +50,11 @@ __all__ = [
     "Phase",
     "Pieces",
     "Problem",
+    "ProblemLibrary",
     "Shooting",
     "Solution",
+    "export_problem",
+    "load_problem",
     "optimise",
     "transcribe",
 ]

@@ -1,0 +1,243 @@
+"""An exported problem, compiled and called from Python."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ..exports.files import Artefact, read_manifest
+from ..exports.load import OPTIMISED, build, check_folder
+from ..model import Model
+from .export import PROBLEM
+
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+class Code(IntEnum):
+    """What an exported solver returns."""
+
+    optimal = 0
+    iteration_limit = 1
+    infeasible = 2
+    stalled = 3
+    not_finite = 4
+    bad_argument = 5
+    failed = 6
+
+
+class Step(NamedTuple):
+    """What one call of an exported solver found.
+
+    Fields:
+        w, lam: the plan and the multipliers of its bounds and rows.
+        u: Inputs at its start.
+        programs: quadratic programs solved.
+        violation, optimality: as in the header.
+    """
+
+    code: Code
+    w: np.ndarray
+    lam: np.ndarray
+    u: np.ndarray
+    iterations: int
+    programs: int
+    cost: float
+    violation: float
+    optimality: float
+
+
+class _Stats(ctypes.Structure):
+    _fields_ = (("iterations", ctypes.c_int), ("programs", ctypes.c_int),
+                ("cost", ctypes.c_double), ("violation", ctypes.c_double),
+                ("optimality", ctypes.c_double))  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemLibrary:
+    """The C functions of a problem; None for a state or p stands for the defaults.
+
+    Fields:
+        sizes: by the names of the header's constants.
+        labels: of "x" measured states, "u" Inputs, "p" arguments, "s" constants: (name, unit,
+            default).
+        functions: names of what was exported.
+    """
+
+    path: Path
+    name: str
+    digest: str
+    sizes: Mapping[str, int]
+    labels: Mapping[str, Sequence[tuple[str, str, float]]]
+    functions: tuple[str, ...]
+
+    def defaults(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Default state, p, and where the search starts."""
+        found = tuple(np.zeros(self.sizes[key]) for key in ("N_X", "N_P", "N_W"))
+        self._call("defaults", *found)
+        return found  # type: ignore[return-value]
+
+    def bounds(self, state: Any = None) -> tuple[np.ndarray, ...]:
+        """Lower and upper bounds of w, lower and upper bounds of the rows."""
+        found = tuple(np.zeros(self.sizes[key]) for key in ("N_W", "N_W", "N_G", "N_G"))
+        self._call("bounds", self._given(state, "N_X"), *found)
+        return found
+
+    def objective(self, w: Any, p: Any = None) -> float:
+        """The cost."""
+        return float(self._value("objective", 1, w, p)[0])
+
+    def constraints(self, w: Any, p: Any = None) -> np.ndarray:
+        """The rows."""
+        return self._value("constraints", self.sizes["N_G"], w, p)
+
+    def gradient(self, w: Any, p: Any = None) -> np.ndarray:
+        """Derivative of the cost."""
+        return self._value("gradient", self.sizes["N_W"], w, p)
+
+    def jacobian(self, w: Any, p: Any = None) -> ca.DM:
+        """Derivative of the rows, sparse."""
+        pattern = self._pattern("jacobian", self.sizes["N_G"])
+        return ca.DM(pattern, self._value("jacobian", pattern.nnz(), w, p))
+
+    def hessian(self, w: Any, p: Any, weight: float, weights: Any) -> ca.DM:
+        """Second derivative of weight cost + weights' rows, sparse, both triangles."""
+        pattern = self._pattern("hessian", self.sizes["N_W"])
+        out = np.zeros(max(1, pattern.nnz()))
+        self._checked(self._call(
+            "hessian", self._given(w, "N_W"), self._given(p, "N_P"), ctypes.c_double(weight),
+            self._given(weights, "N_G"), out,
+        ))  # fmt: skip
+        return ca.DM(pattern, out[: pattern.nnz()])
+
+    def inputs(self, w: Any, k: int = 0, tau: float = 0.0) -> np.ndarray:
+        """Inputs of a plan on interval k of the first phase, at a fraction of it."""
+        u = np.zeros(self.sizes["N_U"])
+        self._call("inputs", self._given(w, "N_W"), ctypes.c_int(k), ctypes.c_double(tau), u)
+        return u
+
+    def shift(self, w: Any, lam: Any = None) -> tuple[np.ndarray, np.ndarray | None]:
+        """A plan and its multipliers one interval later.
+
+        Raises:
+            ValueError: not exported, since intervals differ, or the horizon is free.
+        """
+        self._check("shift", "one phase of a given length with equal intervals")
+        w = self._given(w, "N_W")
+        lam = None if lam is None else np.array(lam, float)
+        self._call("shift", w, lam)
+        return w, lam
+
+    def solve(
+        self, state: Any, w: Any, lam: Any = None, p: Any = None, tol: float = 1e-8,
+        max_iterations: int = 50,
+    ) -> Step:  # fmt: skip
+        """Solve from a state and a guess.
+
+        Raises:
+            ValueError: not exported, arguments of the wrong size.
+        """
+        self._check("solve", "solver=True")
+        n, stats = self.sizes["N_W"] + self.sizes["N_G"], _Stats()
+        w, u = self._given(w, "N_W"), np.zeros(self.sizes["N_U"])
+        lam = np.zeros(n) if lam is None else _sized(lam, n, "lam")
+        code = self._call(
+            "solve", self._given(state, "N_X"), self._given(p, "N_P"), ctypes.c_double(tol),
+            ctypes.c_int(max_iterations), w, lam, u, ctypes.byref(stats), *self._memory,
+        )  # fmt: skip
+        return Step(Code(code), w, lam, u, stats.iterations, stats.programs, stats.cost,
+                    stats.violation, stats.optimality)  # fmt: skip
+
+    @cached_property
+    def _memory(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros(self.sizes["N_WORK"]), np.zeros(self.sizes["N_IWORK"], ctypes.c_int)
+
+    @cached_property
+    def _library(self) -> ctypes.CDLL:
+        return ctypes.CDLL(str(self.path))
+
+    def _call(self, function: str, *arguments: Any) -> int:
+        given = [_pointer(a) if isinstance(a, np.ndarray) else a for a in arguments]
+        return int(getattr(self._library, f"{self.name}_ocp_{function}")(*given))
+
+    def _value(self, function: str, size: int, w: Any, p: Any) -> np.ndarray:
+        out = np.zeros(max(1, size))
+        self._checked(self._call(function, self._given(w, "N_W"), self._given(p, "N_P"), out))
+        return out[:size]
+
+    def _pattern(self, function: str, rows: int) -> ca.Sparsity:
+        columns = self.sizes["N_W"]
+        found: list[list[int]] = []
+        for key, size in (("colind", columns + 1), ("row", 0)):
+            get = getattr(self._library, f"{self.name}_ocp_{function}_{key}")
+            get.restype = ctypes.POINTER(ctypes.c_int)
+            found.append(get()[: size or found[0][-1]])
+        return ca.Sparsity(rows, columns, *found)
+
+    def _given(self, value: Any, size: str) -> np.ndarray | None:
+        if value is None and size in ("N_X", "N_P"):
+            return None
+        return _sized(value, self.sizes[size], size.removeprefix("N_").lower())
+
+    def _check(self, function: str, remedy: str) -> None:
+        if function not in self.functions:
+            raise ValueError(
+                f"problem of '{self.name}': no function '{function}' was exported; it needs "
+                f"{remedy}"
+            )
+
+    def _checked(self, code: int) -> None:
+        if code:
+            raise RuntimeError(f"problem of '{self.name}': {Code(code).name}")
+
+
+def _sized(value: Any, size: int, what: str) -> np.ndarray:
+    """A copy, contiguous."""
+    array = np.array(value, float).reshape(-1)
+    if len(array) != size:
+        raise ValueError(f"{what}: {len(array)} numbers; there are {size}")
+    return array
+
+
+def _pointer(values: np.ndarray) -> Any:
+    kind = _DOUBLES if values.dtype == float else ctypes.POINTER(ctypes.c_int)
+    return values.ctypes.data_as(kind)
+
+
+def load_problem(
+    source: Artefact | str | os.PathLike[str],
+    model: Model | None = None,
+    compiler: str | None = None,
+    flags: Sequence[str] = OPTIMISED,
+) -> ProblemLibrary:
+    """Compile what `export_problem` wrote, if the cache does not hold it yet, and load it.
+
+    Arguments:
+        source: what `export_problem` gave, or its folder.
+        model: if given, the folder must be of this very model.
+        compiler, flags: as in `load_c`.
+
+    Raises:
+        ValueError: the folder is stale, damaged, of another kind, model or ABI.
+        CompilerMissing: there is no compiler.
+        RuntimeError: the compiler failed; with its message.
+    """
+    folder = source.folder if isinstance(source, Artefact) else Path(source)
+    manifest = read_manifest(folder)
+    if manifest.get("kind") != PROBLEM:
+        raise ValueError(f"{folder}: holds no {PROBLEM}; use export_problem first")
+    name = str(manifest["name"])
+    text = check_folder(folder, manifest, f"{name}_ocp", model)
+    path = build(f"{name}_ocp-{manifest['digest']}", text, compiler, flags)
+    labels = {kind: tuple((str(n), str(unit), float(start)) for n, unit, start in rows)
+              for kind, rows in manifest["labels"].items()}  # fmt: skip
+    return ProblemLibrary(path, name, str(manifest["digest"]), manifest["sizes"], labels,
+                          tuple(manifest["functions"]))  # fmt: skip
