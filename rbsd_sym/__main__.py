@@ -1,4 +1,4 @@
-"""The command line: python -m rbsd_sym info|run|export|chart|stability MODEL."""
+"""The command line: python -m rbsd_sym info|run|export|chart|stability|ocp MODEL."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TextIO
 
 import rbsd_sym as rs
 
@@ -22,7 +22,8 @@ from .files import write_whole
 _EPILOG = """
 MODEL is a Python file that defines scene(); it may define T_END (s), COLUMNS (names to plot) and
 INPUTS (name: number, function of t, or samples), which `run` uses, and STABILITY, the arguments of
-`study.stability_map`: {"x": {name: values}, "y": {name: values}, ...}, perhaps with "make".
+`study.stability_map`: {"x": {name: values}, "y": {name: values}, ...}, perhaps with "make". `ocp`
+needs problem(), and uses METHOD, GUESS, SOLVER and picture(solution) where they are defined.
 
 examples:
   python -m rbsd_sym info models/mini.py                    states, cost, notes
@@ -34,6 +35,7 @@ examples:
   python -m rbsd_sym stability models/engine_mounts.py      rest, eigenvalues, frequencies
   python -m rbsd_sym stability models/kapitza.py            map of stability
   python -m rbsd_sym stability --all                        the stability atlas
+  python -m rbsd_sym ocp models/crane.py --animate gif      plan, picture, and a film of the plan
 """
 _FILM = 5.0  # s, the longest
 _INTEGRATORS = {"idas": rs.Idas, "rosenbrock": rs.Rosenbrock, "explicit": rs.ExplicitRK}
@@ -48,10 +50,11 @@ def main(arguments: list[str] | None = None) -> int:
         "export": _export,
         "chart": _chart,
         "stability": _stability,
+        "ocp": _ocp,
     }
     try:
         commands[options.command](options)
-    except (ValueError, TypeError, rs.EquilibriumError) as error:
+    except (ValueError, TypeError, rs.EquilibriumError, rs.ocp.OptimisationError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except rs.IntegrationError as error:
@@ -70,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(
-        dest="command", required=True, metavar="info|run|export|chart|stability"
+        dest="command", required=True, metavar="info|run|export|chart|stability|ocp"
     )
     for name, text in (
         ("info", "print the model: states, start values, cost, notes"),
@@ -78,16 +81,15 @@ def _parser() -> argparse.ArgumentParser:
         ("export", "write C code to generated/<name>/"),
         ("chart", "error against time of every integrator: generated/charts/<name>.png, .md, .csv"),
         ("stability", "map of stability, or rest and eigenvalues; --all: the stability atlas"),
+        ("ocp", "optimise problem(), and write generated/<name>/<name>_plan.npz and .png"),
     ):
         command = commands.add_parser(name, help=text, description=text)
         one = "?" if name == "stability" else None
         command.add_argument("model", type=Path, nargs=one, help="Python file that defines scene()")
-        command.add_argument(
-            "--tait-bryan", action="store_true", help="Tait-Bryan xyz angles, not quaternions"
-        )
-        command.add_argument(
-            "--full", action="store_true", help="keep the states that provably never move"
-        )
+        if name == "ocp":
+            _ocp_options(command)
+        else:
+            _compile_options(command)
         command.add_argument(
             "--folder", type=Path, default=Path("generated"), help="parent of the output folder"
         )
@@ -99,6 +101,20 @@ def _parser() -> argparse.ArgumentParser:
         if name == "stability":
             _stability_options(command)
     return parser
+
+
+def _compile_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--tait-bryan", action="store_true", help="Tait-Bryan xyz angles, not quaternions"
+    )
+    command.add_argument(
+        "--full", action="store_true", help="keep the states that provably never move"
+    )
+
+
+def _ocp_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--progress", action="store_true", help="a line for every iteration")
+    command.add_argument("--animate", choices=("gif", "html"), help="write a film of the plan")
 
 
 def _run_options(command: argparse.ArgumentParser) -> None:
@@ -262,6 +278,51 @@ def _atlas(options: argparse.Namespace) -> None:
         raise ValueError(f"stability: pages that failed: {'; '.join(failed)}")
 
 
+def _ocp(options: argparse.Namespace) -> None:
+    file = load_model_file(options.model)
+    if not callable(getattr(file, "problem", None)):
+        raise ValueError(
+            f"{options.model}: defines no problem(); write a function that returns an ocp.Problem"
+        )
+    with _progress(f"optimising {options.model}"):
+        solution = rs.ocp.optimise(
+            file.problem(),
+            getattr(file, "METHOD", None),
+            getattr(file, "GUESS", None),
+            getattr(file, "SOLVER", None),
+            _teller(sys.stderr) if options.progress else None,
+            throw=False,
+        )
+    if not solution.outcome.ok:
+        raise rs.ocp.OptimisationError(solution)
+    print(solution)
+    for name, free in solution.problem.params.items():
+        if isinstance(free, rs.ocp.Free):
+            print(f"  {name} = {solution.params[name]:.9g}")
+    plan = solution.trajectory
+    folder = options.folder / plan.name
+    folder.mkdir(parents=True, exist_ok=True)
+    stem = folder / f"{plan.name}_plan"
+    chosen = getattr(file, "COLUMNS", None) or list(plan.states[:3])
+    drawn = file.picture(solution) if hasattr(file, "picture") else None
+    _draw(drawn or rs.plots.trajectory(plan, chosen), stem.with_suffix(".png"))
+    print(f"wrote {stem}.png\nwrote {plan.save(stem.with_suffix('.npz'))}")
+    if options.animate:
+        film = stem.with_suffix(f".{options.animate}")
+        with _progress(f"drawing {film}"):
+            rs.plots.animate(solution.model, plan, film, duration=min(_FILM, solution.t_end))
+
+
+def _teller(stream: TextIO) -> Callable[[rs.ocp.Iteration], None]:
+    """A line for every iteration, to a stream that the solver does not silence."""
+
+    def tell(at: rs.ocp.Iteration) -> None:
+        line = f"{at.number:5d}  cost {at.cost:.9g}  violation {at.violation:.3g}"
+        print(line, file=stream, flush=True)
+
+    return tell
+
+
 def _draw(figure: Any, path: Path) -> None:
     write_whole(path, lambda file: figure.savefig(file, dpi=110, format="png"), "figure")
 
@@ -303,6 +364,7 @@ def load_model_file(path: Path) -> ModuleType:
     if spec is None or spec.loader is None:
         raise ValueError(f"{path}: not a Python file; give one that defines scene()")
     module = importlib.util.module_from_spec(spec)
+    sys.modules.setdefault(path.stem, module)  # where dataclasses of the file look for their types
     spec.loader.exec_module(module)
     if not callable(getattr(module, "scene", None)):
         raise ValueError(f"{path}: defines no scene(); write a function that returns a Scene")

@@ -1,0 +1,113 @@
+"""A two-link arm with compliant joints swings from pose to pose in least time.
+
+Torque is limited, and so is what the bushings of the joints give way. The arm moves in a level
+plane. A thousandth of the effort is added to the time, since the fastest motion is not unique.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import rbsd_sym as rs
+
+T_END = 0.5
+COLUMNS = ("shoulder_torque", "elbow_torque", "upper.angle_z", "fore.angle_z",
+           "shoulder.displacement_local", "elbow.displacement_local")  # fmt: skip
+INPUTS = {"shoulder_torque": 4.0, "elbow_torque": -1.0}
+METHOD = rs.ocp.Collocation(40, degree=4, scheme="radau")
+SOLVER = rs.ocp.Ipopt()
+LENGTH = 0.5  # of each link, m
+BUSHING = (1.5e4, 150.0)  # N/m, N s/m
+GIVES = 2e-3  # m, at most, along each axis of a joint
+TOP = {"shoulder": 15.0, "elbow": 6.0}  # N m, at most
+TURN = 1.2, -0.8  # of the shoulder, and of the elbow beyond it, rad
+SHOULDER, ELBOW = (rs.Input(f"{name}_torque", "N m") for name in TOP)
+
+
+def _link(name: str, mass: float, x: float) -> rs.RigidBody:
+    """A slender link along x, its frame in the middle."""
+    across = mass * LENGTH**2 / 12
+    return rs.RigidBody(
+        name, mass, (0.1 * across, across, across), position=(x, 0, 0), size=(LENGTH, 0.06, 0.06)
+    )
+
+
+def _joint(
+    name: str, inner: rs.Marker, outer: str, bushing: tuple[float, float]
+) -> rs.RigidBodySpringDamper:  # fmt: skip
+    k, d = bushing
+    return rs.RigidBodySpringDamper(
+        name, inner, rs.Marker(outer, (-LENGTH / 2, 0, 0)),
+        stiffness=(k, k, k, 1e3, 1e3, 0), damping=(d, d, d, 1, 1, 0.02), law=rs.Consistent(),
+    )  # fmt: skip
+
+
+def scene(bushing: tuple[float, float] = BUSHING) -> rs.Scene:
+    """Links of 3 and 2 kg, straight along x; a motor in each joint."""
+    bodies = [_link("upper", 3.0, LENGTH / 2), _link("fore", 2.0, 3 * LENGTH / 2)]
+    joints = [
+        _joint("shoulder", rs.Marker(rs.GROUND), "upper", bushing),
+        _joint("elbow", rs.Marker("upper", (LENGTH / 2, 0, 0)), "fore", bushing),
+    ]
+    motors = [
+        rs.Load("upper_motors", rs.Marker("upper"), torque=(0, 0, SHOULDER - ELBOW)),
+        rs.Load("fore_motor", rs.Marker("fore"), torque=(0, 0, ELBOW)),
+    ]
+    return rs.Scene("arm", bodies, joints, motors)
+
+
+def _motion(share: float, rate: float) -> dict[str, float]:
+    """States of the arm without strain, all of its joints at a share of their turn."""
+    found, root, speed = {}, np.zeros(2), np.zeros(2)
+    for name, angle in (("upper", TURN[0]), ("fore", TURN[0] + TURN[1])):
+        a, w = angle * share, angle * rate
+        half = LENGTH / 2 * np.array([np.cos(a), np.sin(a)])
+        swing = w * np.array([-half[1], half[0]])
+        found |= {f"{name}.angle_z": a, f"{name}.w_z": w}
+        found |= {f"{name}.p_{axis}": v for axis, v in zip("xy", root + half, strict=True)}
+        found |= {f"{name}.v_{axis}": v for axis, v in zip("xy", speed + swing, strict=True)}
+        root, speed = root + 2 * half, speed + 2 * swing
+    return found
+
+
+TIMES = np.linspace(0, 0.6, 31)
+_TAU = TIMES / TIMES[-1]
+_SHARE, _RATE = 3 * _TAU**2 - 2 * _TAU**3, 6 * (_TAU - _TAU**2) / TIMES[-1]
+_GUESSED = [_motion(*at) for at in zip(_SHARE, _RATE, strict=True)]
+GUESS = {name: (TIMES, [at[name] for at in _GUESSED]) for name in _GUESSED[0]}
+
+
+def _rest() -> dict[str, Any]:
+    """The links at rest; the joints may still ring by 0.1 mm and 2 cm/s, which soon dies away."""
+    room = {"p": 1e-4, "v": 0.02, "a": 0.0, "w": 0.0}
+    ends = {name: (v, room[name.split(".")[1][0]]) for name, v in _motion(1.0, 0.0).items()}
+    return {name: (v - r, v + r) if r else v for name, (v, r) in ends.items()}
+
+
+def problem(
+    gives: float = GIVES, bushing: tuple[float, float] = BUSHING
+) -> rs.ocp.Problem:  # fmt: skip
+    """In least time, with at most `gives` (m) of deflection along each axis of a joint."""
+    effort = (SHOULDER / TOP["shoulder"]) ** 2 + (ELBOW / TOP["elbow"]) ** 2
+    phase = rs.ocp.Phase(
+        rs.ocp.Free(0.7, 0.2, 3.0),
+        end=_rest(),
+        path={f"{name}.displacement_local": (-gives, gives) for name in TOP},
+        integral=1e-3 * effort,
+        end_cost=rs.TIME,
+    )
+    inputs = {f"{name}_torque": rs.ocp.Free(low=-top, high=top) for name, top in TOP.items()}
+    return rs.ocp.Problem(rs.compile_scene(scene(bushing)), phase, inputs=inputs)
+
+
+def picture(solution: rs.ocp.Solution) -> Any:
+    """Torques, angles, and how far the joints give way over time."""
+    return rs.plots.trajectory(solution.trajectory, COLUMNS)
+
+
+if __name__ == "__main__":
+    found = rs.ocp.optimise(problem(), METHOD, GUESS, SOLVER)
+    print(found)
+    picture(found).savefig("generated/charts/arm.png", dpi=80)
