@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TextIO
+from typing import Any
 
 import rbsd_sym as rs
 
@@ -290,7 +290,7 @@ def _ocp(options: argparse.Namespace) -> None:
             getattr(file, "METHOD", None),
             getattr(file, "GUESS", None),
             getattr(file, "SOLVER", None),
-            _teller(sys.stderr) if options.progress else None,
+            _tell if options.progress else None,
             throw=False,
         )
     if not solution.outcome.ok:
@@ -313,14 +313,10 @@ def _ocp(options: argparse.Namespace) -> None:
             rs.plots.animate(solution.model, plan, film, duration=min(_FILM, solution.t_end))
 
 
-def _teller(stream: TextIO) -> Callable[[rs.ocp.Iteration], None]:
-    """A line for every iteration, to a stream that the solver does not silence."""
-
-    def tell(at: rs.ocp.Iteration) -> None:
-        line = f"{at.number:5d}  cost {at.cost:.9g}  violation {at.violation:.3g}"
-        print(line, file=stream, flush=True)
-
-    return tell
+def _tell(iteration: rs.ocp.Iteration) -> None:
+    """A line for every iteration."""
+    number, cost, violation = iteration
+    print(f"{number:5d}  cost {cost:.8g}  violation {violation:.2e}", file=sys.stderr, flush=True)
 
 
 def _draw(figure: Any, path: Path) -> None:

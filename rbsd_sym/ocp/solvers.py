@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -240,6 +241,7 @@ class _Follower(ca.Callback):
         self.nlp, self.progress, self.count = nlp, progress, 0
         self.bounds = nlp.bounds
         self.error: Exception | None = None
+        self.streams = sys.stdout, sys.stderr  # the solver's own words are caught
         self.construct("progress", {})
 
     def get_n_in(self) -> int:
@@ -264,7 +266,11 @@ class _Follower(ca.Callback):
         violation = max((float(gap.max(initial=0.0)) for gap in gaps), default=0.0)
         cost = float(found["f"][0])
         try:
-            stop = self.progress(Iteration(self.count, cost, violation))
+            with (
+                contextlib.redirect_stdout(self.streams[0]),
+                contextlib.redirect_stderr(self.streams[1]),
+            ):
+                stop = self.progress(Iteration(self.count, cost, violation))
         except Exception as error:
             self.error, stop = error, True  # raised again once the solver has returned
         self.count += 1
