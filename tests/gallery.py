@@ -43,7 +43,8 @@ def main(names: list[str]) -> None:
         film = rs.plots.animate(
             model, trajectory, FOLDER / f"{path.stem}.gif", fps=FPS, duration=length, dpi=DPI
         )
-        print(f"{film.name}: {film.stat().st_size // 1024} kB, {time.perf_counter() - started:.1f} s")
+        took = time.perf_counter() - started
+        print(f"{film.name}: {film.stat().st_size // 1024} kB, {took:.1f} s")
 
 
 if __name__ == "__main__":
