@@ -1,0 +1,206 @@
+"""Short runs that tell what integrators cost on a model: calls, modes, errors and times."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ..model import Model
+from ..pipeline import make_experiment, simulate
+from ..trajectory import Experiment, Outcome, Trajectory
+from .precision import ErrorOf
+
+_MOST = 300  # states up to which all eigenvalues are computed
+_TURNS = 60  # of the power iteration beyond
+_WINDOW = 2e-3  # s, of timing one function
+_AGAIN = 0.1  # s: runs that take longer are timed as they are, with what they build
+
+
+class Costs(NamedTuple):
+    """CPU seconds of one call: of the rates, their Jacobian, and a linear solve with it."""
+
+    rates: float
+    jacobian: float
+    solve: float
+
+
+class Modes(NamedTuple):
+    """The fastest modes of the linearised motion over the points looked at.
+
+    Fields:
+        fastest: largest |eigenvalue|, 1/s.
+        damping: of that mode, -Re / |eigenvalue|; NaN where only its size is known.
+        ringing: largest |eigenvalue| of a mode with damping below 0.02 and at least ten times
+            faster than the slowest that moves, 1/s; 0 if there is none.
+    """
+
+    fastest: float
+    damping: float
+    ringing: float
+
+
+class Trial(NamedTuple):
+    """One pilot run; error None if it failed."""
+
+    error: float | None
+    seconds: float
+    steps: float
+    evaluations: float
+    jacobians: float
+    outcome: Outcome
+
+
+class Pilot:
+    """Runs over a share of the whole, judged against a tighter one.
+
+    Arguments:
+        grid: output times.
+        given: inputs, params, start.
+        most: steps a run may take.
+    """
+
+    def __init__(self, model: Model, grid: np.ndarray, given: Mapping[str, Any], most: int) -> None:
+        self.model, self.grid, self.given, self.most = model, grid, given, most
+        self._judge: ErrorOf | None = None
+        self.path: Trajectory | None = None
+        self.floor = math.nan
+
+    def run(self, integrator: Any, most: int | None = None) -> Trajectory | None:
+        """The trajectory, with as many steps as are allowed; None if it cannot even be built."""
+        if hasattr(integrator, "max_steps"):
+            integrator = replace(integrator, max_steps=most or self.most)
+        try:
+            return simulate(self.model, self.grid, integrator, throw=False, **self.given)
+        except RuntimeError:  # CasADi's, of functions it cannot differentiate
+            return None
+
+    def refer_to(self, methods: list[Any]) -> bool:
+        """Take the first method that gets through as the reference, the next as its check."""
+        good: list[Trajectory] = []
+        for method in methods:
+            found = self.run(method, 10 * self.most)
+            if found is not None and found.outcome.ok:
+                good.append(found)
+            if len(good) == 2:
+                break
+        if not good:
+            return False
+        self._judge, self.path = ErrorOf(self.model, good[0]), good[0]
+        if len(good) == 2:
+            self.floor = self._error(good[1])
+        return True
+
+    def _error(self, trajectory: Trajectory) -> float:
+        assert self._judge is not None
+        with np.errstate(all="ignore"):
+            errors = self._judge(trajectory).values()
+        return max((e for e in errors if e is not None), default=0.0)
+
+    def attempt(self, integrator: Any) -> Trial:
+        """Error and CPU time of a run after one that builds, short ones twice."""
+        seconds, found = math.inf, self.run(integrator)
+        if found is None:
+            return Trial(None, seconds, math.nan, math.nan, math.nan, Outcome.solver_failed)
+        for _ in range(2):
+            began = time.thread_time()
+            found = self.run(integrator) or found
+            took = time.thread_time() - began
+            seconds = min(seconds, took)
+            if took > _AGAIN or not found.outcome.ok:
+                break
+        error = self._error(found) if found.outcome.ok else math.nan
+        steps, calls, jacobians = (
+            float(found.stats.get(key, math.nan)) for key in ("steps", "evaluations", "jacobians")
+        )
+        known = error if math.isfinite(error) else None
+        return Trial(known, seconds, steps, calls, jacobians, found.outcome)
+
+
+def costs(model: Model, experiment: Experiment) -> Costs:
+    """Measured at the start."""
+    e, names = experiment, ["ode", "dode_dx"]
+    given = [e.t[:1], e.x, e.z, np.zeros(model.n_u), e.p]
+    rates, jacobian = (_seconds(model.function(name), given) for name in names)
+    pattern = model.function("dode_dx").sparsity_out(0) + ca.Sparsity.diag(model.n_x)
+    A, b = ca.MX.sym("A", pattern), ca.MX.sym("b", model.n_x)
+    solver = ca.Function("solve", [A, b], [ca.solve(A, b, "qr" if model.n_x <= 60 else "csparse")])
+    matrix = ca.DM(pattern, 1.0) + model.n_x * ca.DM.eye(model.n_x)
+    return Costs(rates, jacobian, _seconds(solver, [np.array(matrix.nonzeros()), e.x]))
+
+
+def _seconds(function: ca.Function, given: list[np.ndarray]) -> float:
+    """CPU time of one call through buffers, without what Python adds."""
+    buffer, evaluate = function.buffer()
+    kept = [np.ascontiguousarray(value, float) for value in given]
+    results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+    for i, value in enumerate(kept):
+        if value.size:
+            buffer.set_arg(i, memoryview(value))  # type: ignore[arg-type]
+    for i, value in enumerate(results):
+        if value.size:
+            buffer.set_res(i, memoryview(value))  # type: ignore[arg-type]
+    evaluate()
+    began, calls = time.thread_time(), 0
+    while time.thread_time() - began < _WINDOW or not calls:
+        evaluate()
+        calls += 1
+    return (time.thread_time() - began) / calls
+
+
+def modes(model: Model, trajectory: Trajectory, experiment: Experiment, points: int = 5) -> Modes:
+    """The fastest modes at the start and at some of the saved points."""
+    rows = np.unique(np.linspace(0, len(trajectory.t) - 1, points).astype(int))
+    found = [_modes_at(model, trajectory, experiment, int(row)) for row in rows]
+    fastest = max(found, key=lambda m: m.fastest)
+    return fastest._replace(ringing=max(m.ringing for m in found))
+
+
+def _modes_at(model: Model, trajectory: Trajectory, e: Experiment, row: int) -> Modes:
+    def column(labels: Any) -> np.ndarray:
+        return np.array([trajectory[label.name][row] for label in labels], float)
+
+    dae = model.dae
+    point = (float(trajectory.t[row]), column(dae.x_labels), column(dae.z_labels),
+             column(dae.u_labels), e.p)  # fmt: skip
+    A: ca.DM = model.function("dode_dx")(*point)
+    if model.n_z:
+        names = ("dode_dz", "dalg_dz", "dalg_dx")
+        f_z, g_z, g_x = (np.array(ca.DM(model.function(name)(*point))) for name in names)
+        A = ca.DM(np.array(ca.DM(A)) - f_z @ np.linalg.lstsq(g_z, g_x, rcond=None)[0])
+    if model.n_x > _MOST:
+        return Modes(_power(A), math.nan, 0.0)
+    values = np.linalg.eigvals(np.array(ca.DM(A)))
+    size = np.abs(values)
+    worst = int(np.argmax(size))
+    if size[worst] == 0:
+        return Modes(0.0, math.nan, 0.0)
+    turning = np.abs(values.imag) > 1e-6 * size[worst]
+    slow = float(size[turning].min()) if turning.any() else 0.0
+    rings = turning & (-values.real < 0.02 * size) & (size > 10 * slow)
+    return Modes(float(size[worst]), float(-values[worst].real / size[worst]),
+                 float(size[rings].max(initial=0.0)))  # fmt: skip
+
+
+def _power(A: ca.DM) -> float:
+    """Size of the largest eigenvalue, from the growth of a vector under repeated products."""
+    v, growth = ca.DM(np.random.default_rng(1).normal(size=A.shape[0])), 0.0
+    for k in range(_TURNS):
+        v = A @ v
+        size = float(ca.norm_2(v))
+        if not 0 < size < math.inf:
+            return 0.0
+        v /= size
+        growth += math.log(size) if k >= _TURNS // 2 else 0.0
+    return math.exp(growth / (_TURNS - _TURNS // 2))
+
+
+def start_of(model: Model, t_end: float, given: Mapping[str, Any]) -> Experiment:
+    """The experiment of a run to t_end."""
+    return make_experiment(model, t_end, given.get("inputs") or {}, given.get("params") or {},
+                           given.get("start") or {})  # fmt: skip

@@ -1,0 +1,367 @@
+"""Which integrator to use for a model, from pilot runs and measured rates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..integrators import Idas, Rosenbrock
+from ..model import Model
+from ..symbols import is_number
+from ..trajectory import Experiment
+from .contenders import contenders
+from .pilot import Costs, Modes, Pilot, Trial, costs, modes, start_of
+from .precision import _setting
+from .table import Table
+
+_INTERVALS = 8  # output intervals of a pilot
+_TRIES = 4  # settings of one method
+_SHRINK, _SHORTEST = 8.0, 1e-6  # of a pilot that takes too long; and the shortest share of the run
+_RUNS = 40.0  # how many times the probe all pilots together take, about
+_FEWEST = 2000  # steps that a pilot may take in an interval, at least
+_LOOSER = 30.0  # an error so far below the one wanted lets looser settings be tried
+_HOPELESS = 5.0  # times the fastest so far: a method that is not there yet is left
+_TIGHTEST = 1e-13
+_FIRST_STEPS = 64  # of methods with equal steps
+_MANY = 1000  # states above which methods that factor large matrices in Python take minutes
+_ORDERS = {"GeneralizedAlpha": 2, "RK4": 4, "Radau, order 5": 5, "Legendre, order 6": 6}
+# Explicit methods: largest step times |eigenvalue| on the negative axis, about, and calls a step.
+_EXPLICIT = {"ExplicitRK": (3.3, 6), "Dop853": (6.0, 12), "RK4": (2.8, 4)}
+_COLUMNS = ("method", "setting", "error", "time", "steps", "evaluations", "jacobians", "outcome")
+_UNITS = ("", "", "", "s", "", "", "", "")
+_UNDAMPED = 1e-3  # damping ratio
+_MANY_TURNS = 1000.0  # rad in the run, of a mode that is fast beside the motion
+_BDF_LIMIT = 3  # times the steps: so much order 2 has to save before it is said why
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """What to use, why, and what it was chosen from.
+
+    Fields:
+        integrator: the object for `simulate`, or for `export_simulator`.
+        why: some sentences with the numbers.
+        table: every pilot run: method, setting, error, time (s, for the whole run), steps,
+            evaluations, jacobians, outcome.
+    """
+
+    integrator: Any
+    why: str
+    table: Table
+
+    def __str__(self) -> str:
+        return self.why
+
+
+class _Run(NamedTuple):
+    method: str
+    integrator: Any
+    trial: Trial
+    seconds: float
+
+
+def recommend(
+    model: Model,
+    rtol: float = 1e-6,
+    t_end: float = 1.0,
+    exported: bool = False,
+    seconds: float = 10.0,
+    **given: Any,
+) -> Recommendation:
+    """The integrator that takes the least CPU time to an error, and why.
+
+    Every integrator that can take the model (`contenders`) runs over a share of the run, all of it
+    if that is affordable, at settings around the error wanted; errors are those of
+    `work_precision`, against a tighter run that a second method checks. Times scale with the share:
+    a motion that changes its character later is judged by its beginning. Timing is noisy: methods
+    within a factor of two may change places.
+
+    Arguments:
+        rtol: the largest error wanted, relative to the excursions of the motion.
+        t_end: end of the run, s.
+        exported: choose for `export_simulator`: among what it takes, by measured calls of rates,
+            Jacobians and linear solves instead of by times in Python.
+        seconds: CPU time the pilots may take, about; what they build comes on top.
+        given: inputs, params, start, as in `simulate`.
+
+    Raises:
+        TypeError: the model is none.
+        ValueError: an error, end or time that makes no sense; no states; no method that gets
+            through even a short beginning, or none that can be exported.
+    """
+    _check(model, rtol, t_end, seconds, exported)
+    whole = start_of(model, t_end, given)
+    price = costs(model, whole)
+    model = model.plain if exported else model  # as it is exported
+    pilot, share = _pilot(model, whole, rtol, seconds, given)
+    assert pilot.path is not None
+    around = modes(model, pilot.path, whole)
+    facts = _Facts(price, around, share, t_end, pilot.floor, exported)
+    runs = list(_runs(pilot, rtol, share, facts))
+    best = _best(model, runs, rtol)
+    table = Table(_COLUMNS, _UNITS, tuple(_row(run) for run in runs))
+    return Recommendation(best.integrator, _why(model, best, runs, rtol, facts), table)
+
+
+def _check(model: Model, rtol: float, t_end: float, seconds: float, exported: bool) -> None:
+    if not isinstance(model, Model):
+        raise TypeError(
+            f"recommend: model {model!r} is a {type(model).__name__}; give what compile_scene gives"
+        )
+    for name, value, top, unit in (("rtol", rtol, 0.1, ""), ("t_end", t_end, math.inf, " s"),
+                                   ("seconds", seconds, math.inf, " s")):  # fmt: skip
+        if not (is_number(value) and 0 < float(value) < top):
+            raise ValueError(
+                f"recommend: {name} {value!r}{unit}; it is a number above 0"
+                + (f" and below {top:g}" if math.isfinite(top) else "")
+            )
+    if rtol < _TIGHTEST * 1e3:
+        raise ValueError(
+            f"recommend: rtol {rtol:g}; below {_TIGHTEST * 1e3:g} no pilot can tell errors"
+        )
+    if not model.n_x:
+        raise ValueError(f"model '{model.name}': no states, so there is nothing to integrate")
+    if exported and not any(_methods(model, t_end, exported)):
+        raise ValueError(
+            f"model '{model.name}': no integrator for it can be exported; ask with exported=False"
+        )
+
+
+def _pilot(
+    model: Model, whole: Experiment, rtol: float, seconds: float, given: Mapping[str, Any]
+) -> tuple[Pilot, float]:
+    """A pilot with its reference, and the share of the run it takes: all of it, if affordable."""
+    t, share, before = (float(whole.t[0]), float(whole.t[-1])), 1.0 / 32, math.inf
+    found: tuple[Pilot, float] | None = None
+    while share > _SHORTEST:
+        grid = np.linspace(t[0], t[0] + share * (t[1] - t[0]), _INTERVALS + 1)
+        pilot = Pilot(model, grid, given, _FEWEST)
+        ready = pilot.refer_to(_reference(model, rtol))
+        trial = pilot.attempt(Idas(rtol, rtol / 100)) if ready else None
+        if found and (trial is None or trial.seconds * _RUNS > seconds):
+            return found
+        if trial is None:
+            share /= _SHRINK
+            continue
+        steps = trial.steps if trial.error is not None else _FEWEST
+        per_step = max(trial.seconds / max(steps, 1.0), 2e-6)
+        pilot.most = int(max(_FEWEST, seconds / 30 / per_step))
+        if trial.seconds * _RUNS <= seconds:
+            found = pilot, share
+            if share == 1.0 or before < math.inf:
+                return found
+            share = min(1.0, 4 * share)
+        elif trial.seconds > before / 2:  # what is left does not depend on the length
+            return pilot, share
+        else:
+            share, before = share / _SHRINK, trial.seconds
+    raise ValueError(
+        f"model '{model.name}': no integrator gets through the first {share * (t[1] - t[0]):.3g} s "
+        "of the run; start with simulate(model, ..., throw=False) and its report"
+    )
+
+
+def _reference(model: Model, rtol: float) -> list[Any]:
+    """Methods for the reference, tighter than asked for, in the order they are tried."""
+    tight = max(1e-3 * rtol, _TIGHTEST)
+    idas, rosenbrock = Idas(tight, tight / 100), Rosenbrock(tight, tight / 100)
+    if model.dae.updates or model.n_x > _MANY:
+        return [idas, Idas(tight / 3, tight / 300)]
+    return [rosenbrock, idas]
+
+
+def _runs(pilot: Pilot, rtol: float, share: float, facts: _Facts) -> Iterator[_Run]:
+    """Pilot runs of every method, each at settings that close in on the error."""
+    span, price = float(pilot.grid[-1] - pilot.grid[0]), facts.price
+    quickest = fastest = math.inf  # in Python, and by the clock that counts
+    for method, first in _methods(pilot.model, span, facts.exported):
+        if _bound(method, span, facts) > _HOPELESS * fastest:
+            continue
+        search = _by_steps if hasattr(first, "step") else _by_tolerance
+        for integrator, trial in search(pilot, method, first, rtol, quickest):
+            seconds = _in_c(trial, price) if facts.exported else trial.seconds
+            yield _Run(method, integrator, trial, seconds / share)
+            if trial.error is not None and trial.error <= rtol:
+                quickest, fastest = min(quickest, trial.seconds), min(fastest, seconds)
+
+
+def _bound(method: str, span: float, facts: _Facts) -> float:
+    """Seconds that stability alone costs an explicit method; 0 for the others."""
+    limit, calls = _EXPLICIT.get(method, (math.inf, 0))
+    return span * facts.modes.fastest / limit * calls * facts.price.rates
+
+
+def _methods(model: Model, span: float, exported: bool) -> Iterator[tuple[str, Any]]:
+    """Names of methods and one integrator of each."""
+    for method, several in contenders(model, span, (1e-6,)).items():
+        first = several[0]
+        if exported and not _exports(model, first):
+            continue
+        if model.n_x > _MANY and method in ("Rosenbrock", "GeneralizedAlpha"):
+            continue
+        yield method, first
+        if isinstance(first, Idas):
+            yield "Idas, order 2", replace(first, max_order=2)
+
+
+def _exports(model: Model, integrator: Any) -> bool:
+    plugin = getattr(integrator, "plugin", None)
+    return plugin is not None and not model.dae.updates and bool(plugin or not model.events)
+
+
+def _by_tolerance(
+    pilot: Pilot, method: str, first: Any, rtol: float, fastest: float
+) -> Iterator[tuple[Any, Trial]]:
+    """Tolerances from the error wanted, tighter until it is reached, else looser."""
+    tolerance, reached = rtol, False
+    for _ in range(_TRIES):
+        integrator = replace(first, rtol=tolerance, atol=tolerance / 100)
+        if hasattr(first, "max_steps"):
+            integrator = replace(integrator, max_steps=type(first).max_steps)
+        trial = pilot.attempt(integrator)
+        yield integrator, trial
+        if trial.error is None:
+            return
+        if trial.error > rtol:
+            if reached or tolerance <= _TIGHTEST or trial.seconds > _HOPELESS * fastest:
+                return
+            tolerance *= max(1e-4, 0.3 * rtol / trial.error)
+            tolerance = max(float(f"{tolerance:.0e}"), _TIGHTEST)
+        elif trial.error < rtol / _LOOSER and tolerance >= rtol:
+            reached, tolerance = True, min(10 * tolerance, 0.01)
+        else:
+            return
+
+
+def _by_steps(
+    pilot: Pilot, method: str, first: Any, rtol: float, fastest: float
+) -> Iterator[tuple[Any, Trial]]:
+    """Numbers of equal steps, from the order of the method and the errors found."""
+    span, n = float(pilot.grid[-1] - pilot.grid[0]), float(_FIRST_STEPS)
+    for _ in range(_TRIES):
+        integrator = replace(first, step=span / n)
+        trial = pilot.attempt(integrator)
+        yield integrator, trial
+        if trial.error is not None and trial.error <= rtol:
+            return
+        more = 4.0
+        if trial.error is not None:
+            more = min(64.0, max(1.3, 1.2 * (trial.error / rtol) ** (1 / _ORDERS[method])))
+        n *= more
+        if n > 10 * pilot.most or trial.seconds * more > _HOPELESS * min(fastest, 1.0):
+            return
+
+
+def _in_c(trial: Trial, price: Costs) -> float:
+    """Seconds of the calls alone, which an exported simulation makes without Python."""
+    jacobians = trial.jacobians if math.isfinite(trial.jacobians) else 0.0
+    return trial.evaluations * price.rates + jacobians * (price.jacobian + 2 * price.solve)
+
+
+def _rank(run: _Run, rtol: float) -> tuple[int, float]:
+    """What reaches the error by time, then the others by error, then failures."""
+    if run.trial.error is None:
+        return 2, run.seconds
+    return (0, run.seconds) if run.trial.error <= rtol else (1, run.trial.error)
+
+
+def _best(model: Model, runs: list[_Run], rtol: float) -> _Run:
+    best = min(runs, key=lambda run: _rank(run, rtol))
+    if best.trial.error is None:
+        raise ValueError(
+            f"model '{model.name}': no integrator gets through a pilot run in the CPU time allowed;"
+            " give more seconds, or look at the table of `work_precision`"
+        )
+    return best
+
+
+def _row(run: _Run) -> tuple[Any, ...]:
+    t = run.trial
+    counts = (None if math.isnan(v) else v for v in (t.steps, t.evaluations, t.jacobians))
+    return (run.method, _setting(run.integrator), t.error, run.seconds, *counts, t.outcome.name)
+
+
+class _Facts(NamedTuple):
+    price: Costs
+    modes: Modes
+    share: float
+    t_end: float
+    floor: float
+    exported: bool
+
+
+def _why(model: Model, best: _Run, runs: list[_Run], rtol: float, facts: _Facts) -> str:
+    name = f"{type(best.integrator).__name__}({_setting(best.integrator)})"
+    reached = best.trial.error is not None and best.trial.error <= rtol
+    checked = f"reference good to {facts.floor:.1g}"
+    checked = checked if facts.floor >= 0 else "reference of one method alone"
+    clock = "calls of the model" if facts.exported else "CPU time"
+    lines = [
+        f"{name}: error {best.trial.error:.2g}"
+        + ("" if reached else f", which misses {rtol:g}: no method reaches it")
+        + f", {1e3 * best.seconds:.3g} ms of {clock} for {facts.t_end:g} s, from pilots over "
+        f"{100 * facts.share:.3g} % of the run ({checked})."
+    ]
+    others: dict[str, _Run] = {}
+    for run in sorted(runs, key=lambda run: _rank(run, rtol)):
+        others.setdefault(run.method, run)
+    rest = [run for run in others.values() if run.method != best.method]
+    said = [_beside(run, best, rtol) for run in rest]
+    lines += [f"Others: {'; '.join(said)}."] if said else []
+    return " ".join([*lines, *_of_modes(model, runs, facts), *_left_out(model, facts)])
+
+
+def _beside(run: _Run, best: _Run, rtol: float) -> str:
+    if run.trial.error is None:
+        return f"{run.method} fails ({run.trial.outcome.name})"
+    if run.trial.error > rtol:
+        return f"{run.method} is left at error {run.trial.error:.2g}"
+    return f"{run.method} {run.seconds / best.seconds:.3g} times as long"
+
+
+def _of_modes(model: Model, runs: list[_Run], facts: _Facts) -> Iterator[str]:
+    m, price = facts.modes, facts.price
+    damping = f", damping ratio {m.damping:.2g}" if math.isfinite(m.damping) else ""
+    damping = ", undamped" if abs(m.damping) < _UNDAMPED else damping
+    yield (
+        f"Fastest mode {m.fastest:.3g} 1/s{damping}: stability alone makes an explicit method of "
+        f"order 4 take {facts.t_end * m.fastest / 2.8:.2g} steps. One call of the rates takes "
+        f"{1e6 * price.rates:.2g} us, of the Jacobian {1e6 * price.jacobian:.2g} us."
+    )
+    span = facts.t_end * facts.share
+    tried = {run.method for run in runs}
+    skipped = [name for name, _ in _methods(model, span, facts.exported) if name not in tried]
+    if skipped:
+        yield f"That leaves out {', '.join(skipped)}, which were not run."
+    steps = {
+        name: min(
+            (r.trial.steps for r in runs if r.method == name and r.trial.steps > 0),
+            default=math.nan,
+        )
+        for name in ("Idas", "Idas, order 2")
+    }
+    if m.ringing * facts.t_end > _MANY_TURNS:
+        yield (
+            f"A mode of {m.ringing:.3g} rad/s is hardly damped: BDF of order above 2 is unstable "
+            "on it where steps are longer than its period."
+        )
+        if steps["Idas"] > _BDF_LIMIT * steps["Idas, order 2"]:
+            yield (
+                f"It shows: Idas takes {steps['Idas']:.0f} steps in the pilot, with max_order=2 "
+                f"{steps['Idas, order 2']:.0f}."
+            )
+
+
+def _left_out(model: Model, facts: _Facts) -> Iterator[str]:
+    if model.n_z:
+        yield f"{model.n_z} algebraic unknowns leave out explicit methods."
+    if model.events:
+        yield f"{len(model.events)} kinds of events leave out methods with steps fixed beforehand."
+    if model.dae.updates:
+        yield "Post-Newton steps leave all but Idas and GeneralizedAlpha."
+    if not facts.exported and not model.dae.updates:
+        yield "For a simulation in C ask with exported=True: other methods may be faster there."
