@@ -188,7 +188,11 @@ class Model:
     @property
     def plain(self) -> Model:
         """The model with functions of its own in place of compiled ones."""
-        return replace(self, library={}, memo={}) if self.library else self
+        if not self.library:
+            return self
+        if "plain" not in self.memo:
+            self.memo["plain"] = replace(self, library={}, memo={})
+        return self.memo["plain"]
 
     @property
     def calls(self) -> bool:

@@ -74,7 +74,7 @@ LIMITS = {
     "chain16": Limits(apart=1.0, first=64), "chain256": Limits(1.0, 2.5, 1.0, 128, 80.0),
     "governor": Limits(0.3, 2.0, 1.0, 1024), "bricard": Limits(0.3, 1.5, 1.0, 512),
     "stick_slip": Limits(1.0, apart=1.0), "stiff1e3": Limits(0.2, 2.0),
-    "stiff1e6": Limits(0.3, 6.0, 1.0, 65_536, 100.0),
+    "stiff1e6": Limits(0.3, 6.0, 1.0, 65_536, 70.0),
 }  # fmt: skip
 
 
@@ -307,7 +307,7 @@ def measured(case: Case, limits: Limits) -> tuple[rs.study.Table, Judge, list[st
     return rs.study.Table(COLUMNS, _UNITS, (*rows, *others)), judge, skipped
 
 
-def recommended(case: Case, seconds: float = 5.0) -> tuple[str, str]:
+def recommended(case: Case, seconds: float = 10.0) -> tuple[str, str]:
     """Names of the integrators that `recommend` picks for `simulate` and for an export."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rs.ModelWarning)

@@ -132,12 +132,13 @@ def _integrators(model: rs.Model, t_end: float, apart: float) -> Iterator[tuple[
 def exported(model: rs.Model, t_end: float, apart: float, folder: Path) -> Iterator[Contender]:
     """Whole simulations in C, of the methods that can be exported for the model."""
     methods: list[Any] = []
+    most = 1_000_000 if model.n_x <= _MANY else 10_000
     if not model.n_z and not model.events:
-        methods.append(rs.Dop853(max_steps=1_000_000))
+        methods.append(rs.Dop853(max_steps=most))
     if model.n_x <= _MANY:
         methods.append(rs.Rosenbrock())
     if not model.n_z:
-        methods.append(rs.ExplicitRK())
+        methods.append(rs.ExplicitRK(max_steps=most))
     for method in methods:
         family = type(method).__name__
         artefact = rs.export_simulator(model, folder / family, method)

@@ -99,6 +99,20 @@ def test_trajectories(name: str, method: Any) -> None:
     assert np.abs(a["energy"] - b["energy"]).max() < 1e-6 * np.abs(a["energy"]).max()
 
 
+@pytest.mark.parametrize("method", [rs.Rosenbrock(1e-9, 1e-11), rs.Idas(1e-10, 1e-12)])
+def test_events(method: Any) -> None:
+    """CasADi's methods search events by derivatives that compiled functions do not have."""
+    ball = rs.RigidBody("ball", 1, (1, 1, 1), position=(0, 0, 1))
+    floor = rs.RigidBodySpringDamper(
+        "floor", rs.Marker(rs.GROUND), rs.Marker("ball"), 0, effects=rs.Impact(2, 0.5)
+    )
+    model = rs.compiled(rs.compile_scene(rs.Scene("drop", [ball], [floor], gravity=(0, 0, -9.81))))
+    run = rs.simulate(model, [0, 0.8], method)
+    fall = np.sqrt(2 / 9.81)
+    np.testing.assert_allclose([t for t, _ in run.events], [fall], rtol=1e-9)
+    assert run["ball.velocity"][-1, 2] == pytest.approx(9.81 * (fall / 2 - (0.8 - fall)), rel=1e-8)
+
+
 def test_a_model_that_stands_still() -> None:
     still = rs.compile_scene(rs.Scene("still", [rs.RigidBody("b", 1, [1, 1, 1])], []))
     assert len(rs.simulate(rs.compiled(still), 1.0)["b.position"]) == 201

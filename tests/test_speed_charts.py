@@ -181,7 +181,7 @@ def test_states_of_peers_become_columns() -> None:
 @pytest.mark.parametrize("name", ["governor", "bricard", "stiff1e3"])
 @pytest.mark.filterwarnings("ignore::rbsd_sym.ModelWarning")
 def test_exudyn_runs_turned_joints_and_point_springs(name: str) -> None:
-    """Of order 6 in 1600 steps it has errors of 3e-11; `rotvec` nodes do not get there."""
+    """Of order 6 in 1600 steps it has errors below 1e-10; `rotvec` nodes do not get there."""
     sys.__dict__.setdefault("exudynFast", True)
     pytest.importorskip("exudyn")
     given = CASES[name]()._replace(t_end=0.01)

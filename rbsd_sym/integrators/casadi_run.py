@@ -45,7 +45,11 @@ def run_with_events(
     model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any],
     judge: Callable[[Run], Verdict], count: Mapping[str, str],
 ) -> Trajectory:  # fmt: skip
-    """Integrate with a CasADi plugin and its events; arguments as of `driver.run`."""
+    """Integrate with a CasADi plugin and its events; arguments as of `driver.run`.
+
+    By functions of the model's own: the search of events wants derivatives that compiled ones lack.
+    """
+    model = model.plain
     found = consistent(model, experiment)
     if isinstance(found, Trajectory):
         return found

@@ -21,7 +21,7 @@ from .table import Table
 _INTERVALS = 8  # output intervals of a pilot
 _TRIES = 4  # settings of one method
 _SHRINK, _SHORTEST = 8.0, 1e-6  # of a pilot that takes too long; and the shortest share of the run
-_RUNS = 40.0  # how many times the probe all pilots together take, about
+_RUNS = 4.0  # how many times the probe the pilots of one method take, about
 _FEWEST = 2000  # steps that a pilot may take in an interval, at least
 _LOOSER = 30.0  # an error so far below the one wanted lets looser settings be tried
 _HOPELESS = 5.0  # times the fastest so far: a method that is not there yet is left
@@ -100,7 +100,8 @@ def recommend(
     pilot, share = _pilot(model, whole, rtol, seconds, given)
     assert pilot.path is not None
     around = modes(model, pilot.path, whole)
-    facts = _Facts(price, around, share, t_end, pilot.floor, exported)
+    seen = len(pilot.path.events)
+    facts = _Facts(price, around, share, t_end, pilot.floor, exported, seen)
     runs = list(_runs(pilot, rtol, share, facts))
     best = _best(model, runs, rtol)
     table = Table(_COLUMNS, _UNITS, tuple(_row(run) for run in runs))
@@ -136,21 +137,22 @@ def _pilot(
 ) -> tuple[Pilot, float]:
     """A pilot with its reference, and the share of the run it takes: all of it, if affordable."""
     t, share, before = (float(whole.t[0]), float(whole.t[-1])), 1.0 / 32, math.inf
+    seconds /= _RUNS * len(list(_methods(model, 1.0, False)))  # of a probe
     found: tuple[Pilot, float] | None = None
     while share > _SHORTEST:
         grid = np.linspace(t[0], t[0] + share * (t[1] - t[0]), _INTERVALS + 1)
         pilot = Pilot(model, grid, given, _FEWEST)
         ready = pilot.refer_to(_reference(model, rtol))
         trial = pilot.attempt(Idas(rtol, rtol / 100)) if ready else None
-        if found and (trial is None or trial.seconds * _RUNS > seconds):
+        if found and (trial is None or trial.seconds > seconds):
             return found
         if trial is None:
             share /= _SHRINK
             continue
         steps = trial.steps if trial.error is not None else _FEWEST
         per_step = max(trial.seconds / max(steps, 1.0), 2e-6)
-        pilot.most = int(max(_FEWEST, seconds / 30 / per_step))
-        if trial.seconds * _RUNS <= seconds:
+        pilot.most = int(max(_FEWEST, seconds / per_step))
+        if trial.seconds <= seconds:
             found = pilot, share
             if share == 1.0 or before < math.inf:
                 return found
@@ -292,6 +294,7 @@ class _Facts(NamedTuple):
     t_end: float
     floor: float
     exported: bool
+    events: int
 
 
 def _why(model: Model, best: _Run, runs: list[_Run], rtol: float, facts: _Facts) -> str:
@@ -359,6 +362,8 @@ def _of_modes(model: Model, runs: list[_Run], facts: _Facts) -> Iterator[str]:
 def _left_out(model: Model, facts: _Facts) -> Iterator[str]:
     if model.n_z:
         yield f"{model.n_z} algebraic unknowns leave out explicit methods."
+    if model.events and not facts.events:
+        yield "No event fell into the pilots: give more seconds, so that they see some."
     if model.events:
         yield f"{len(model.events)} kinds of events leave out methods with steps fixed beforehand."
     if model.dae.updates:
