@@ -114,6 +114,18 @@ def test_a_start_on_zero_without_rate_counts_as_above(power: int, method: str) -
     np.testing.assert_allclose(times_of(found), [0], atol=1e-9)
 
 
+@by_method(among=CASADI)
+def test_casadi_tells_of_what_it_missed(method: str) -> None:
+    """The run ends before the first output time at which an armed event is found below zero."""
+    found = run(ball(lambda s: [rs.Event(-(s.t**2))]), np.linspace(0, 1, 5), method)
+    assert found.outcome is rs.Outcome.solver_failed
+    assert "event 'c.event_0' was missed before t = 0.25 s" in found.report
+    assert "use Idas() or Dop853()" in found.report
+    assert found.stats["t_failed"] == 0.25
+    np.testing.assert_array_equal(found.t, [0])
+    assert found.events == ()
+
+
 @by_method()
 def test_at_once_beyond_zero_at_the_start(method: str) -> None:
     """In the order of the list; without at_once it must come from the other side."""
