@@ -17,7 +17,7 @@ from .card import card_text
 from .example import example_text
 from .files import MANIFEST, Artefact, sha256, write_folder
 from .header import Exported, banner, defaults_signature, header_text, signature
-from .loops import add_kernels, assembles, stub, with_loops
+from .loops import assembles, stub, with_loops
 
 _ALWAYS = ("ode", "alg", "out", "zero", "jump")
 _JACOBIANS = tuple(f"d{f}_d{v}" for f in ("ode", "alg") for v in "xzup")
@@ -80,7 +80,6 @@ def source_text(model: Model, functions: list[Exported]) -> str:
     for f in functions:
         generator.add(f.kernel)
     loops = {f.kernel.name(): f.name for f in functions if assembles(model, f.name)}
-    add_kernels(generator, model, loops)
     parts = [
         banner(model, f"{model.name}.c: kernels by CasADi, each behind one plain C function"),
         f'#include "{model.name}.h"\n',

@@ -11,7 +11,7 @@ from ..assembly import with_jacobian
 from ..model import Model
 from . import names
 from .load import OPTIMISED, build
-from .loops import add_kernels, assembles, stub, with_loops
+from .loops import assembles, stub, with_loops
 
 
 def compiled(model: Model, compiler: str | None = None, flags: Sequence[str] = OPTIMISED) -> Model:
@@ -55,7 +55,6 @@ def _source(model: Model, functions: dict[str, ca.Function]) -> str:
             symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
             named = ca.Function(symbol, symbols, [function(*symbols)], list("txzup"), [name])
         generator.add(named, name in ("ode", "alg"))
-    add_kernels(generator, model, loops)
     return with_loops(str(generator.dump()), model, loops)
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 MANIFEST = "manifest.json"
 
@@ -22,6 +25,12 @@ class Artefact:
     name: str
     digest: str
     functions: tuple[str, ...]
+
+
+def template(file: str, marks: Mapping[str, Any]) -> str:
+    """The text of a template with its marks replaced."""
+    text = resources.files(__package__).joinpath(f"{file}.in").read_text()
+    return re.sub(r"@(\w+)@", lambda match: str(marks[match[1]]), text)
 
 
 def sha256(text: str) -> str:

@@ -1,8 +1,8 @@
-"""Assembled functions as C loops: gather what an instance reads, call its kernel, add the results.
+"""Assembled functions as C loops: gather what instances read, call their kernel, add the results.
 
-CasADi's own code for mapped kernels copies all arguments and all results; these loops keep an
-instance in cache. CasADi writes the kernels, and a stub for each function: its signature, its
-sparsity and the rest of what its loader asks for. What the stub calls is replaced by our loops.
+CasADi's own code for mapped kernels copies all arguments and all results; these loops keep a few
+instances in cache. CasADi writes a stub for each function: its signature, its sparsity and the rest
+of what its loader asks for. What the stub calls is replaced by our loops.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import numpy as np
 
 from ..assembly import Assembled, Piece
 from ..model import Model
+from .files import template
+from .lanes import functions_text, kernel_text
 
 _ARGUMENTS = "const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem"
 
@@ -49,39 +51,25 @@ def stub(model: Model, name: str, symbol: str, with_pattern: bool = False) -> ca
     return ca.Function(symbol, symbols, [value], names, [name.replace(".", "_")])
 
 
-def add_kernels(generator: ca.CodeGenerator, model: Model, stubs: Mapping[str, str]) -> None:
-    """Add the kernels of functions (symbol: name) to CasADi's code."""
-    for symbol, name in stubs.items():
-        for i, piece in enumerate(model.assembly.assembled(name).pieces):
-            symbols = piece.function.sx_in()
-            generator.add(ca.Function(f"{symbol}_k{i}", symbols, [piece.function(*symbols)]))
-
-
 def with_loops(text: str, model: Model, stubs: Mapping[str, str]) -> str:
-    """CasADi's code with the bodies of the stubs replaced, and the loops after it."""
+    """CasADi's code with the bodies of the stubs (symbol: name) replaced, and what they call."""
+    if not stubs:
+        return text
+    kernels: dict[str, ca.Function] = {}
     loops = []
     for symbol, name in stubs.items():
         parts = model.assembly.assembled(name)
-        kernels = []
-        for i in range(len(parts.pieces)):
-            text, kernel = _strip(text, f"{symbol}_k{i}")
-            kernels.append(kernel)
+        own = {f"{symbol}_k{i}": piece.function for i, piece in enumerate(parts.pieces)}
         text = _call_loops(text, symbol)
-        loops.append(_loops(model, symbol, parts, kernels))
-    return "\n".join([_QUIET, text, *loops]) if loops else text
+        loops.append(_loops(model, symbol, parts, list(own)))
+        kernels |= own
+    head = template("lanes.c", {}) + functions_text(kernels.values())
+    bodies = [kernel_text(function, symbol) for symbol, function in kernels.items()]
+    return "\n".join([_QUIET, text, head, *bodies, *loops])
 
 
 def _sizes(model: Model) -> tuple[int, ...]:
     return (1, model.n_x, model.n_z, model.n_u, model.n_p)
-
-
-def _strip(text: str, symbol: str) -> tuple[str, str]:
-    """Drop what CasADi writes for callers of a kernel; the name of its static function."""
-    head = rf"CASADI_SYMBOL_EXPORT int {symbol}\([^)]*\){{\s*return (casadi_f\d+)\("
-    match = re.search(head + r".*?(?=/\* |\Z)", text, re.S)
-    if match is None:
-        raise RuntimeError(_DIFFERENT)
-    return text[: match.start()] + text[match.end() :], match[1]
 
 
 def _call_loops(text: str, symbol: str) -> str:
@@ -100,6 +88,7 @@ def _loops(model: Model, symbol: str, parts: Assembled, kernels: Sequence[str]) 
         f"static int {symbol}_loops({_ARGUMENTS})", "{",
         "  casadi_real *out = res[0];",
         *_stacked(sizes),
+        *(["  const casadi_real *given = arg[5];"] if parts.letter else []),
         "  if (!out) return 0;",
         f"  for (int i = 0; i < {n}; ++i) out[i] = 0;",
     ]  # fmt: skip
@@ -117,52 +106,53 @@ def _stacked(sizes: Sequence[int]) -> list[str]:
             each = f"for (int i = 0; i < {size}; ++i) all[{first} + i] ="
             lines += [f"  if (arg[{i}]) {each} arg[{i}][i];", f"  else {each} 0;"]
         first += size
-    return [*lines, "  (void)all, (void)iw, (void)w, (void)mem;"]
+    return [
+        *lines,
+        "  const double t = arg[0] ? arg[0][0] : 0;",
+        "  const lanes time = LANES_ALL(t);",
+        "  (void)all, (void)time, (void)iw, (void)w, (void)mem;",
+    ]
 
 
 def _loop(kernel: str, piece: Piece) -> list[str]:
-    count = piece.reads.shape[1]
-    tables, before, after = [], [], []
-    m = piece.places.shape[0]
-    arguments = ["arg[0]", "in", "0"]
-    tables.append(_table("int", "reads", piece.reads))
-    if piece.reads.size:
-        n = piece.reads.shape[0]
-        before.append(f"for (int j = 0; j < {n}; ++j) in[j] = all[reads[i * {n} + j]];")
-    if piece.constants.size:
-        tables.append(_table("casadi_real", "constants", piece.constants))
-        arguments[2] = f"constants + i * {piece.constants.shape[0]}"
-    if piece.given is not None:
-        k = piece.given.shape[0]
-        tables.append(_table("int", "given", piece.given))
-        arguments.append("with")
-        value = f"given[i * {k} + j] < 0 ? 0 : arg[5][given[i * {k} + j]]"
-        before.append(f"for (int j = 0; j < {k}; ++j) with[j] = arg[5] ? ({value}) : 0;")
-    tables.append(_table("int", "places", piece.places))
-    place = f"places[i * {m} + j]"
-    test = f"if ({place} >= 0) " if (piece.places < 0).any() else ""
-    after.append(f"for (int j = 0; j < {m}; ++j) {test}out[{place}] += values[j];")
-    sizes = [f"in[{max(1, piece.reads.shape[0])}]", f"values[{m}]"]
-    sizes += [f"with[{piece.given.shape[0]}]"] if piece.given is not None else []
-    sizes += [f"work[{max(1, piece.function.sz_w())}]"]
+    """All instances of a kernel, LANES at once; beyond the last one it stands in for the rest."""
+    m, count = piece.places.shape
+    tables, before, arguments = [_table("int", "places", piece.places)], [], ["&time"]
+    groups = (("int", "reads", piece.reads, "LANES_READ"),
+              ("casadi_real", "constants", piece.constants, "LANES_CONSTANT"),
+              ("int", "weights", piece.given, "LANES_GIVEN"))  # fmt: skip
+    for kind, name, values, way in groups:
+        if values is None:
+            continue
+        arguments.append(f"{name}_of" if values.size else "0")
+        if not values.size:
+            continue
+        n = values.shape[0]
+        tables.append(_table(kind, name, values))
+        before += [
+            f"lanes {name}_of[{n}];", "{",
+            f"  const {kind} *from[LANES];",
+            "  for (int l = 0; l < LANES; ++l)",
+            f"    from[l] = {name} + (i + l < {count} ? i + l : {count - 1}) * {n};",
+            f"  for (int j = 0; j < {n}; ++j) {name}_of[j] = (lanes)EACH({way});", "}",
+        ]  # fmt: skip
+    test = "if (place >= 0) " if (piece.places < 0).any() else ""
     return [
-        "  {", *(f"    {table}" for table in tables if table),
-        f"    for (int i = 0; i < {count}; ++i) {{",
-        f"      casadi_real {', '.join(sizes)};",
-        f"      const casadi_real *from[{max(4, piece.function.sz_arg())}] = "
-        f"{{{', '.join(arguments)}}};",
-        f"      casadi_real *to[{max(1, piece.function.sz_res())}] = {{values}};",
+        "  {", *(f"    {table}" for table in tables),
+        f"    for (int i = 0; i < {count}; i += LANES) {{",
+        f"      lanes values[{m}];",
         *(f"      {line}" for line in before),
-        f"      if ({kernel}(from, to, 0, work, 0)) return 1;",
-        *(f"      {line}" for line in after),
-        "    }", "  }",
+        f"      {kernel}({', '.join(arguments)}, values);",
+        f"      for (int l = 0; l < LANES && i + l < {count}; ++l)",
+        f"        for (int j = 0; j < {m}; ++j) {{",
+        f"          const int place = places[(i + l) * {m} + j];",
+        f"          {test}out[place] += LANE(values[j], l);",
+        "        }", "    }", "  }",
     ]  # fmt: skip
 
 
 def _table(kind: str, name: str, values: np.ndarray) -> str:
     """Instance by instance; no line of it grows beyond what an editor shows."""
-    if not values.size:
-        return ""
     flat = values.T.reshape(-1).tolist()
     texts = [repr(float(v)) if kind == "casadi_real" else str(int(v)) for v in flat]
     lines = [", ".join(texts[i : i + 24]) for i in range(0, len(texts), 24)]

@@ -199,7 +199,7 @@ class Simulator:
         return Trajectory(
             self.name, t[:n], columns, outcome, report, numbers, parameters,
             tuple(name for name, _, _ in names), self.digest,
-            self.model.measure if self.model else None,
+            self.model.measure_all if self.model else None,
             self.model.left_out if self.model else (), tuple(happened),
         )  # fmt: skip
 

@@ -12,8 +12,8 @@ import casadi as ca
 from ..model import Model
 from .c import call_lines, manifest_text
 from .dop853_text import explicit_parts, tangent_parts
-from .files import MANIFEST, Artefact, write_folder
-from .loops import add_kernels, assembles, stub, with_loops
+from .files import MANIFEST, Artefact, template, write_folder
+from .loops import assembles, stub, with_loops
 from .simulator_casadi import casadi_text
 from .simulator_texts import (
     card_text,
@@ -22,7 +22,6 @@ from .simulator_texts import (
     simulator_file,
     simulator_marks,
     simulator_name,
-    template,
 )
 
 SIMULATOR = "simulator"
@@ -127,7 +126,6 @@ def _explicit(model: Model, integrator: Exportable, sensitivities: bool) -> str:
             kernel = _renamed(model.function(key), symbol)
         generator.add(kernel)
         wrappers.append(_wrapper(model, key, kernel))
-    add_kernels(generator, model, loops)
     text = with_loops(str(generator.dump()), model, loops)
     marks = simulator_marks(model, integrator) | explicit_parts()
     marks |= tangent_parts() if sensitivities else {}

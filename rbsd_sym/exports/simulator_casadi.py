@@ -11,7 +11,8 @@ from ..casadi_events import INSTANT, NEVER, RECORD, add_events, begin, n_extra, 
 from ..casadi_events import integrator as with_events
 from ..model import Model
 from . import names
-from .simulator_texts import simulator_file, simulator_marks, template
+from .files import template
+from .simulator_texts import simulator_file, simulator_marks
 
 
 def casadi_text(model: Model, integrator: Any) -> str:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from importlib import resources
 from typing import Any
 
 from .. import version
@@ -12,18 +9,13 @@ from ..model import Model
 from ..parts import Label
 from . import names
 from .c import defaults_body
+from .files import template
 from .header import banner, enum_lines, index_lines
 
 
 def simulator_name(model: Model) -> str:
     """Name of the files, and of the main function."""
     return f"{model.name}_simulate"
-
-
-def template(file: str, marks: Mapping[str, Any]) -> str:
-    """The text of a template with its marks replaced."""
-    text = resources.files(__package__).joinpath(f"{file}.in").read_text()
-    return re.sub(r"@(\w+)@", lambda match: str(marks[match[1]]), text)
 
 
 def simulator_marks(model: Model, integrator: Any) -> dict[str, Any]:
