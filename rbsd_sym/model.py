@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -246,8 +246,25 @@ class Model:
             labels = self.dae.expansion.labels if self.dae.expansion else ()
             row = [label.name for label in labels].index(name)
             return Column(every.values[:, row], labels[row].unit)
-        output = self.dae.outputs.get(name)
         values = self._over_all_parameters(name)(*self._arguments(trajectory))
+        return self._column(name, values)
+
+    def measure_all(self, names: Sequence[str], trajectory: Trajectory) -> list[Column]:
+        """`measure` for many names: their outputs in one Function, which is much faster."""
+        together = [name for name in dict.fromkeys(names) if name in self.dae.outputs]
+        if len(together) < 2:
+            return [self.measure(name, trajectory) for name in names]
+        key = "measure " + ", ".join(together)
+        if key not in self.memo:
+            arguments = [*self.symbols[:4], ca.vertcat(self.dae.p, self.dae.idle_p)]
+            results = [ca.densify(self.expression(name)) for name in together]
+            self.memo[key] = ca.Function("measure", arguments, results)
+        values = self.memo[key].call([ca.DM(a) for a in self._arguments(trajectory)])
+        found = {name: self._column(name, v) for name, v in zip(together, values, strict=True)}
+        return [found[name] if name in found else self.measure(name, trajectory) for name in names]
+
+    def _column(self, name: str, values: ca.DM) -> Column:
+        output = self.dae.outputs.get(name)
         shape = output.shape if output else (values.shape[0],)
         unit = output.unit if output else ""
         components = output.components if output else tuple(v.name for v in self.dae.out_labels)

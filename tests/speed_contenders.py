@@ -8,9 +8,12 @@ the call of `solve_ivp`.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import itertools
 import math
+import os
+import signal
 import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
@@ -315,6 +318,20 @@ def turned_back(peer: dict[str, Any], state: np.ndarray) -> np.ndarray:
     return own
 
 
+def _returns(call: Callable[[], Any]) -> bool:
+    """Whether a call returns, tried in a child process that is killed after a while.
+
+    Exudyn's adaptive solvers may try steps for ever, and ask nobody in between.
+    """
+    child = os.fork()
+    if child == 0:
+        signal.alarm(round(2 * _LONGEST))  # the default action ends the process, whatever it does
+        with contextlib.suppress(Exception):
+            call()
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
 def _exudyn(case: Case, base: Any, runner: Any, systems: dict[str, Any]) -> Contender:
     """Exudyn at one setting but for its effort: equal steps, or a tolerance."""
     if case.peer is None:
@@ -334,6 +351,8 @@ def _exudyn(case: Case, base: Any, runner: Any, systems: dict[str, Any]) -> Cont
 
     def run(effort: float) -> Trajectory:
         states: list[Any] = []
+        if adaptive and not _returns(lambda: solve(effort, None, _LONGEST)):
+            return failed(case.scene.name, f"did not return in {2 * _LONGEST:g} s")
         keep = lambda x: states.append(turned_back(case.peer, x))  # noqa: E731
         try:
             last = turned_back(case.peer, solve(effort, None if adaptive else keep, _LONGEST).state)

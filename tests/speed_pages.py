@@ -154,13 +154,12 @@ its solve call alone, without building the system and reading results; of scipy 
 
 def write(
     folder: Path, case: Case, table: rs.study.Table, names: tuple[str, str],
-    both: tuple[Times, Times], recommended: tuple[str, str], skipped: Sequence[str] = (),
+    both: tuple[Times, Times], recommended: tuple[str, str],
 ) -> None:  # fmt: skip
     """The files of one scene, and its line for the summary.
 
     Arguments:
         both: times at the target by the error over the run, and by that at the end alone.
-        skipped: methods that were not run for want of time.
     """
     times = both[0]
     name, floor = case.scene.name, float(table.column("floor")[0])
@@ -174,10 +173,6 @@ def write(
         tuple((key[1], 1e3 * took, at_end.get(key)) for key, took in ranked),
     )  # fmt: skip
     never = sorted({str(row[1]) for row in table.rows} - {m for _, m in times})
-    shown = [c for c in table.columns if c not in ("family", "floor")]
-    short = rs.study.Table(tuple(shown), tuple(table.units[table.columns.index(c)] for c in shown),
-                           tuple(tuple(row[table.columns.index(c)] for c in shown)
-                                 for row in table.rows))  # fmt: skip
     parts = [
         f"# {name}: error against CPU time", case.note, f"![{name}]({name}.png)",
         f"`{COMMAND} {name}` on {machine()}",
@@ -188,8 +183,8 @@ def write(
         "win.",
         fastest.to_markdown(),
         f"Not reached by: {'; '.join(never)}." if never else "",
-        f"Not run, for want of time: {'; '.join(skipped)}." if skipped else "",
-        "## All runs", short.to_markdown(),
+        f"All {len(table.rows)} runs, with settings, errors by quantity, steps, times and how they "
+        f"ended: [{name}.csv]({name}.csv).",
     ]  # fmt: skip
     (folder / f"{name}.md").write_text("\n\n".join(p.strip() for p in parts if p) + "\n")
     _keep(folder / "summary.csv", _summary_row(name, floor, both, recommended))

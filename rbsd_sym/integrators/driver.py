@@ -248,7 +248,7 @@ def assemble(
     parameters = {label.name: float(v) for label, v in zip(labels, values, strict=True)}
     return Trajectory(
         model.name, t, columns, outcome, report, stats, parameters, states, model.digest,
-        model.measure, model.left_out, tuple((float(t), name) for t, name in events),
+        model.measure_all, model.left_out, tuple((float(t), name) for t, name in events),
     )  # fmt: skip
 
 

@@ -124,9 +124,9 @@ class ErrorOf:
     def __init__(self, model: Model, reference: Trajectory) -> None:
         ending = ".angular_velocity"
         self.bodies = [n.removesuffix(ending) for n in model.dae.outputs if n.endswith(ending)]
-        self.t, self._exact = reference.t, {b: _motion(reference, b) for b in self.bodies}
         if not self.bodies:
             raise ValueError(f"model '{model.name}': no bodies to compare")
+        self.t, self._exact = reference.t, _motions(reference, self.bodies)
         ways = {q: [_way(q, m[q], m[q][:1]) for m in self._exact.values()] for q in _QUANTITIES}
         self.excursions = {q: float(np.max(way)) for q, way in ways.items()}
 
@@ -142,7 +142,7 @@ class ErrorOf:
                 f"{len(self.t)}; both need the same"
             )
         errors: dict[str, float | None] = {}
-        found = {body: _motion(trajectory, body) for body in self.bodies}
+        found = _motions(trajectory, self.bodies)
         for q in _QUANTITIES:
             size = self.excursions[q]
             ways = (_way(q, found[b][q], self._exact[b][q]) for b in self.bodies)
@@ -150,10 +150,12 @@ class ErrorOf:
         return errors
 
 
-def _motion(trajectory: Trajectory, body: str) -> dict[str, np.ndarray]:
-    names = {"position": "position", "angle": "quaternion", "velocity": "velocity",
-             "angular_velocity": "angular_velocity"}  # fmt: skip
-    return {q: trajectory[f"{body}.{name}"] for q, name in names.items()}
+def _motions(trajectory: Trajectory, bodies: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
+    """Columns of each body, by quantity."""
+    names = dict(zip(_QUANTITIES, ("position", "quaternion", "velocity", "angular_velocity"),
+                     strict=True))  # fmt: skip
+    trajectory.evaluate([f"{body}.{name}" for body in bodies for name in names.values()])
+    return {b: {q: trajectory[f"{b}.{name}"] for q, name in names.items()} for b in bodies}
 
 
 def _way(quantity: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
