@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import rbsd_sym as rs
 from rbsd_sym.__main__ import load_model_file
 
@@ -65,10 +63,3 @@ def hinged(law: Any = None) -> rs.Scene:
     )  # fmt: skip
     torque = rs.Load("motor", rs.Marker("body"), torque=(FORCE, FORCE * 0.5, 0), frame="body")
     return rs.Scene("hinged", [body], [joint], [torque])
-
-
-def central(function: Any, x: np.ndarray, h: float = 1e-3) -> np.ndarray:
-    """Jacobian of a function, of many columns x at once, by differences of order 6."""
-    steps = h * np.eye(len(x))
-    return sum(w * (function(x[:, None] + j * steps) - function(x[:, None] - j * steps))
-               for j, w in ((1, 45.0), (2, -9.0), (3, 1.0))) / (60 * h)  # fmt: skip

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..parts import Label
+from .between import groups, path_box
 from .elastic import loosened
 from .ends import End, at_end, at_start, opened
 from .frame import Frame
@@ -90,11 +91,11 @@ def _body(
 ) -> Segment:  # fmt: skip
     """The intervals of a phase; `begin` are bounds of the states at the first, if it is theirs."""
     starts, lengths = mesh[:-1], np.diff(mesh)
-    labels = _groups(frame)
+    names_of = groups(frame)
     y = _handed_on(frame, i, guess, starts)
     low, high, values, names, when = [y[0]], [y[1]], [y[2]], list(_y_labels(frame)), []
     when += [0.0] * frame.n_y
-    limits = {kind: _path_box(frame, i, kind) for kind in "xzu"}
+    limits = {kind: path_box(frame, i, kind) for kind in "xzu"}
     for kind, tau in interval.variables:
         at = starts + tau * lengths
         found = {"x": guess.x, "z": guess.z, "u": guess.v}[kind](i, at)
@@ -102,8 +103,8 @@ def _body(
         low.append(np.repeat(box[0][:, None], len(at), axis=1))
         high.append(np.repeat(box[1][:, None], len(at), axis=1))
         values.append(found)
-        names += labels[kind]
-        when += [tau] * len(labels[kind])
+        names += names_of[kind]
+        when += [tau] * len(names_of[kind])
     lower, upper = np.vstack(low), np.vstack(high)
     if begin is not None:
         lower[: frame.model.n_x, 0], upper[: frame.model.n_x, 0] = begin
@@ -116,14 +117,8 @@ def _body(
     )  # fmt: skip
 
 
-def _groups(frame: Frame) -> dict[str, tuple[Label, ...]]:
-    dae = frame.model.dae
-    return {"x": dae.x_labels, "z": dae.z_labels,
-            "u": tuple(dae.u_labels[k] for k in frame.controls)}  # fmt: skip
-
-
 def _y_labels(frame: Frame) -> tuple[Label, ...]:
-    return (*frame.model.x_labels, *frame.s_labels, *_groups(frame)["u"][: frame.n_m])
+    return (*frame.model.x_labels, *frame.s_labels, *groups(frame)["u"][: frame.n_m])
 
 
 def _fix_unused(frame: Frame, i: int, low: np.ndarray, high: np.ndarray) -> None:
@@ -138,7 +133,7 @@ def _handed_on(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Bounds and guess of y at fractions of a phase."""
     n = len(at)
-    box = _path_box(frame, i, "x")
+    box = path_box(frame, i, "x")
     free = np.full(frame.n_m, np.inf)
     low = np.concatenate([box[0], frame.s_low, -free])
     high = np.concatenate([box[1], frame.s_high, free])
@@ -148,40 +143,27 @@ def _handed_on(
     return np.repeat(low[:, None], n, axis=1), np.repeat(high[:, None], n, axis=1), values
 
 
-def _path_box(frame: Frame, i: int, kind: str) -> np.ndarray:
-    """Bounds (2, n) of variables along a phase; of Inputs also those of the problem."""
-    labels = _groups(frame)[kind]
-    box = frame.terms[i].path.limits(labels)
-    if kind == "u":
-        for k, label in enumerate(labels):
-            own = frame.problem.inputs[label.name]
-            pair = max(box[0, k], own.low), min(box[1, k], own.high)
-            if pair[0] > pair[1]:
-                raise ValueError(
-                    f"phase {i}, path '{label.name}': bounds {box[0, k]:.6g} ... {box[1, k]:.6g} "
-                    f"{label.unit} and those of the Input {own.low:.6g} ... {own.high:.6g} "
-                    "contradict each other"
-                )
-            box[:, k] = pair
-    return box
-
-
 def _interval_rows(
     frame: Frame, i: int, interval: Interval
 ) -> tuple[np.ndarray, np.ndarray, tuple[Label, ...], np.ndarray, tuple[str, ...]]:
     """Bounds, labels, places and kinds of the rows of an interval, after what it hands on."""
-    path, groups = frame.terms[i].path.rows, _groups(frame)
-    zero = {"rate": groups["x"], "alg": groups["z"]}
-    low, high, labels, when = [np.zeros(0)], [np.zeros(0)], [], [0.0] * frame.n_y
+    path, between, own = frame.terms[i].path.rows, interval.limits, groups(frame)
+    blocks: dict[str, tuple[Sequence[Label], tuple[np.ndarray, np.ndarray] | None]] = {
+        "rate": ([Label(f"rate of {v.name}", v.unit) for v in own["x"]], None),
+        "alg": ([Label(f"balance of {v.name}", v.unit) for v in own["z"]], None),
+        "path": (path.labels, (path.low, path.high)),
+        "between": (between.labels, (between.low, between.high)),
+    }
+    labels: list[Label] = []
+    low, high, when = [np.zeros(0)], [np.zeros(0)], [0.0] * frame.n_y
     kinds = ["motion"] * frame.n_y
     for kind, tau in interval.rows:
-        own = zero.get(kind, path.labels)
-        low.append(np.zeros(len(own)) if kind in zero else path.low)
-        high.append(np.zeros(len(own)) if kind in zero else path.high)
-        prefix = {"rate": "rate of ", "alg": "balance of "}.get(kind, "")
-        labels += [Label(prefix + label.name, label.unit) for label in own]
-        when += [tau] * len(own)
-        kinds += [kind] * len(own)
+        rows, sides = blocks[kind]
+        low.append(sides[0] if sides else np.zeros(len(rows)))
+        high.append(sides[1] if sides else np.zeros(len(rows)))
+        labels += rows
+        when += [tau] * len(rows)
+        kinds += ["path" if sides else kind] * len(rows)
     names = tuple(Label(f"motion of {v.name}", v.unit) for v in _y_labels(frame))
     both = np.concatenate(low), np.concatenate(high)
     return *both, (*names, *labels), np.array(when), tuple(kinds)

@@ -12,9 +12,8 @@ import numpy as np
 
 from .. import version
 from ..exports import names
-from ..exports.files import MANIFEST, Artefact, sha256, write_folder
+from ..exports.files import MANIFEST, Artefact, sha256, template, write_folder
 from ..exports.header import banner
-from ..exports.simulator_texts import template
 from .export_texts import Sizes, card_text, example_text, header_text, problem_name
 from .interval import Method
 from .mesh import control_nodes

@@ -10,8 +10,8 @@ import casadi as ca
 
 from .. import version
 from ..exports import names
+from ..exports.files import template
 from ..exports.header import banner, enum_lines, index_lines
-from ..exports.simulator_texts import template
 from ..model import Model
 from ..parts import Label
 from .parametric import Parametric

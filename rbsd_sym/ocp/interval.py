@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
+from .between import Limits
 from .frame import Frame
 from .mesh import Intervals, control_nodes
 from .nlp import StageFunctions
@@ -19,9 +20,12 @@ class Interval:
 
     Fields:
         variables: blocks after y: "u", "x" or "z", and where on the interval (0 ... 1).
-        rows: blocks of rows: "rate", "alg" (equal to zero) or "path", and where.
+        rows: blocks of rows: "rate", "alg" (equal to zero), "path" or "between" (all that is
+            limited), and where.
         saved: points of the interval at which a trajectory is saved, the first 0, all below 1.
         dense: (w, c) -> x (n_x, saved), z (n_z, saved).
+        limits: what is limited along the phase.
+        checked, check: points at which a plan is held against the limits, and as `dense` there.
     """
 
     functions: StageFunctions
@@ -29,6 +33,9 @@ class Interval:
     rows: tuple[tuple[str, float], ...]
     saved: np.ndarray
     dense: ca.Function
+    limits: Limits
+    checked: np.ndarray
+    check: ca.Function
 
 
 @dataclass(frozen=True)

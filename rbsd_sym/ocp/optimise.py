@@ -13,6 +13,7 @@ import numpy as np
 from ..pipeline import across_reduction
 from ..trajectory import Outcome as Reached
 from ..trajectory import Trajectory
+from .between import Miss
 from .chain import Chain, chained
 from .collocation import Collocation
 from .flight import Flight, FlightFailed
@@ -24,13 +25,13 @@ from .mesh import meshes
 from .nlp import Nlp
 from .problem import Problem
 from .reading import Plan, flown, multipliers, pieces, read, trajectory
-from .reasons import elastic_report, misses
+from .reasons import between_points, elastic_report, misses
 from .refine import refined
 from .solution import OptimisationError, Raw, Solution
 from .solvers import Answer, Fatrop, Ipopt, Outcome, Progress
 from .warm import from_solution, warm_start
 
-_STRAYS = 1e-3  # of the size of the states: a plan that differs by so much is not to be trusted
+_STRAYS = 1e-3  # of the size of states, or of a limit: a plan further off is not to be trusted
 _PATIENCE = 300  # iterations of fatrop, before IPOPT is tried
 
 
@@ -114,6 +115,7 @@ class _Search:
         while True:
             chain = chained(frame, intervals, mesh, start)
             _check_freedom(chain)
+            lam = lam if _fits(chain, lam) else {}
             found = self._solved(chain, lam, start)
             solving, flying = solving + found.answer.seconds, flying + found.flying
             rounds, iterations = rounds + 1, iterations + found.answer.iterations
@@ -183,6 +185,11 @@ def _first_guess(
     return from_user(frame, guess), {}
 
 
+def _fits(chain: Chain, lam: dict[str, np.ndarray]) -> bool:
+    """Whether values of an earlier program are those of one like this."""
+    return bool(lam) and (len(lam["x0"]), len(lam["lam_g0"])) == (chain.nlp.n, chain.nlp.m)
+
+
 def _check_freedom(chain: Chain) -> None:
     if not chain.frame.controls and not chain.frame.n_s:
         raise ValueError(
@@ -244,13 +251,15 @@ def _solution(
         "nonzeros": float(functions["nlp_jac_g"].nnz_out(1)), "solver": answer.message,
     }  # fmt: skip
     edges = np.concatenate([plan.legs[0].t, *(leg.t[1:] for leg in plan.legs[1:])])
+    between = between_points(chain, answer.x, plan, method.input_degree) if outcome.ok else ()
     raw = Raw(chain.mesh, answer, method.input_degree, plan, chain)
     return Solution(
         problem, frame.model, path, pieces(plan),
         tuple(float(v) for v in frame.durations(plan.s)),
         {label.name: v for label, v in zip(labels, values, strict=True)},
-        edges, answer.cost, outcome, report, found.errors, found.flight,
-        multipliers(chain, answer), stats, (*frame.notes, *_strays(found.flight)), raw,
+        edges, answer.cost, outcome, report, found.errors, found.flight, between,
+        multipliers(chain, answer), stats,
+        (*frame.notes, *_strays(found.flight), *_beyond(between)), raw,
     )  # fmt: skip
 
 
@@ -262,6 +271,16 @@ def _strays(flight: Flight | None) -> list[str]:
     return [
         f"flown by IDAS the plan strays by {flight.difference:.2g} in '{name}' at t = {t:.6g} s; "
         "take more intervals, a higher degree, or refine"
+    ]
+
+
+def _beyond(between: tuple[Miss, ...]) -> list[str]:
+    """A note where limits are passed by much."""
+    if not between or between[0].relative < _STRAYS:
+        return []
+    return [
+        f"between the points at which conditions are kept, {between[0]}; take more intervals, or "
+        "path_points of Collocation"
     ]
 
 

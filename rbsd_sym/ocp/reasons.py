@@ -2,40 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from .between import Miss, passed
 from .chain import Chain
 from .elastic import MISSED
-from .reading import read
+from .mesh import same_input
+from .reading import Plan, read
 
 _MISSED = 1e-6  # of the size of a bound: less is the solver's tolerance
-
-
-@dataclass(frozen=True)
-class Miss:
-    """A condition that is not met.
-
-    Fields:
-        what: phase, kind and name.
-        t: s.
-        amount, relative: how far the value is outside, and that relative to 1 + |bound|.
-    """
-
-    what: str
-    t: float
-    value: float
-    bound: float
-    unit: str
-    relative: float
-
-    def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
-        return (
-            f"{self.what} at t = {self.t:.6g} s is {self.value:.6g}{unit}, wanted {self.bound:.6g}"
-            f"{unit} (missed by {abs(self.value - self.bound):.3g}{unit})"
-        )
 
 
 def misses(chain: Chain, x: np.ndarray) -> list[Miss]:
@@ -103,3 +78,47 @@ def elastic_report(chain: Chain, x: np.ndarray) -> list[str]:
                 if miss.relative > max(_MISSED, known.relative if known else 0.0):
                     found[part.phase, miss.what] = miss
     return [str(miss) for miss in sorted(found.values(), key=lambda miss: -miss.relative)]
+
+
+def between_points(chain: Chain, x: np.ndarray, plan: Plan, degree: int) -> tuple[Miss, ...]:
+    """Conditions along the path that a plan passes between the points at which they are kept.
+
+    The worst place of each, the largest first; `relative` is to the room between the bounds, or to
+    the bound.
+
+    Arguments:
+        x: the program's variables.
+        degree: of the Inputs.
+    """
+    found = []
+    for i, interval in enumerate(chain.intervals):
+        limit = interval.limits
+        if not limit.labels or not len(interval.checked):
+            continue
+        t, values = _limited(chain, x, plan, i, degree)
+        gap = passed(limit, values)
+        for k in np.flatnonzero(gap.max(axis=1) > _MISSED):
+            j = int(np.argmax(gap[k]))
+            value, label = float(values[k, j]), limit.labels[k]
+            bound = float(limit.low[k] if value < limit.low[k] else limit.high[k])
+            phase = f"phase {i}, " if chain.frame.n_phases > 1 else ""
+            found.append(Miss(f"{phase}path '{label.name}'", float(t[j]), value, bound, label.unit,
+                              float(gap[k, j])))  # fmt: skip
+    return tuple(sorted(found, key=lambda miss: -miss.relative))
+
+
+def _limited(
+    chain: Chain, x: np.ndarray, plan: Plan, i: int, degree: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) at which phase i is looked at, and what is limited there (rows, n)."""
+    number, interval, leg = chain.segments("interval")[i], chain.intervals[i], plan.legs[i]
+    part, first, n_v = chain.nlp.segments[number], chain.nlp.offsets[number][0], chain.frame.n_v
+    columns = x[first : first + part.n_w * part.count].reshape(part.count, part.n_w).T
+    states, unknowns = interval.check.map(part.count)(columns, part.constants)
+    nodes = leg.nodes.reshape(part.count, degree + 1, n_v)
+    weights = same_input(degree, interval.checked)
+    inputs = np.einsum("tk,ckv->vct", weights, nodes)
+    t = (leg.t[:-1, None] + np.diff(leg.t)[:, None] * interval.checked).reshape(-1)
+    constants = np.repeat(plan.s[:, None], len(t), axis=1)
+    given = (t[None, :], states, unknowns, inputs.reshape(n_v, len(t)), constants)
+    return t, np.array(interval.limits.value.map(len(t))(*given))

@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import tableau
 from ..integrators import Rosenbrock
+from .between import limits
 from .frame import Frame
 from .interval import (
     Interval,
@@ -107,14 +108,16 @@ class Shooting:
         v_end = inputs_at(same_input(self.input_degree, 1.0)[0], nodes, frame.n_v)
         handed = v_end if frame.n_m else ca.MX(0, 1)
         following = ca.vertcat(states[-1], s, handed)
+        dense = ca.Function("dense", [w, c], [ca.horzcat(*states[:-1]), ca.horzcat(*unknowns[:-1])])
         return Interval(
             StageFunctions.derived("interval", w, c, following, ca.vertcat(*rows), cost),
             variables=input_blocks(self.input_degree),
             rows=tuple(("path", float(tau)) for tau in self._taus[1:]),
             saved=self._taus[:-1],
-            dense=ca.Function(
-                "dense", [w, c], [ca.horzcat(*states[:-1]), ca.horzcat(*unknowns[:-1])]
-            ),
+            dense=dense,
+            limits=limits(frame, i, self.input_degree),
+            checked=self._taus[:-1],
+            check=dense,
         )
 
     def _explicit(

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..model import Model
 from ..trajectory import Trajectory
+from .between import Miss
 from .flight import Flight
 from .mesh import basis, control_nodes
 from .problem import Problem
@@ -95,6 +96,8 @@ class Solution:
             IDAS at rtol 1e-10 is from the plan at its saved points, from the plan's own states at
             its start. `mesh_error` is the largest. Empty if not flown.
         flown: the whole plan integrated by IDAS, and the difference.
+        between: conditions along the path that the plan passes between the points at which the
+            method keeps them: of each the worst place found at four times as many points.
         multipliers: by name of a condition, the changes of the cost by its bound; "costate of
             <state>" at the ends of intervals.
         stats: iterations and time (s) of the solver, over all rounds; time_flight and time_build
@@ -114,6 +117,7 @@ class Solution:
     report: str
     interval_errors: np.ndarray
     flown: Flight | None
+    between: tuple[Miss, ...]
     multipliers: Mapping[str, np.ndarray]
     stats: Mapping[str, float | str]
     notes: tuple[str, ...]
