@@ -16,7 +16,7 @@ T_END = 0.5
 COLUMNS = ("shoulder_torque", "elbow_torque", "upper.angle_z", "fore.angle_z",
            "shoulder.displacement_local", "elbow.displacement_local")  # fmt: skip
 INPUTS = {"shoulder_torque": 4.0, "elbow_torque": -1.0}
-METHOD = rs.ocp.Collocation(40, degree=4, scheme="radau")
+METHOD = rs.ocp.Collocation(120, degree=3, scheme="radau", input_degree=1, path_points=2)
 SOLVER = rs.ocp.Ipopt()
 LENGTH = 0.5  # of each link, m
 BUSHING = (1.5e4, 150.0)  # N/m, N s/m

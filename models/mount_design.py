@@ -16,7 +16,7 @@ import rbsd_sym as rs
 T_END = 2.0
 COLUMNS = ("engine.displacement", "left.displacement_local", "right.displacement_local",
            "left.force0")  # fmt: skip
-METHOD = rs.ocp.Collocation(tuple(np.linspace(0, 1, 51) ** 0.7), degree=7)
+METHOD = rs.ocp.Collocation(tuple(np.linspace(0, 1, 101) ** 0.7), degree=7, path_points=4)
 MASS, GRAVITY = 120.0, 9.81
 TILT = math.radians(35)  # of the mounts, towards the engine
 TRAVEL = 3e-3  # m, each way

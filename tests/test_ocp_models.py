@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,8 +101,8 @@ def test_no_better_mounts_are_near(mounts: Solution) -> None:
     assert 110 < d < 9.9e3  # the bounds of both are far
     cost, travel = cost_and_travel(mounts.model, k, d)
     assert cost == pytest.approx(mounts.cost, rel=1e-4)
-    # Travel is limited at the collocation points; peaks between them are 1 % higher at most.
-    assert MOUNTS.TRAVEL * 0.999 < travel < MOUNTS.TRAVEL * 1.01
+    # Travel is limited at some points; peaks between them are a thousandth higher at most.
+    assert MOUNTS.TRAVEL * 0.999 < travel < MOUNTS.TRAVEL * 1.001
     for factor, other in ((1.0, 0.8), (1.0, 1.25), (1.05, 1.15), (0.95, 1.0), (0.95, 0.85),
                           (1.3, 1.5)):  # fmt: skip
         near, far = cost_and_travel(mounts.model, k * factor, d * other)
@@ -114,18 +115,19 @@ def test_no_better_mounts_are_near(mounts: Solution) -> None:
 
 @pytest.mark.slow
 def test_a_finer_mesh_changes_the_mounts_little(mounts: Solution) -> None:
-    finer = found_by(MOUNTS, method=Collocation(tuple(np.linspace(0, 1, 121) ** 0.7), degree=7))
-    assert finer.params["stiffness"] == pytest.approx(mounts.params["stiffness"], rel=1e-2)
-    assert finer.cost == pytest.approx(mounts.cost, rel=2e-2)
+    fine = Collocation(tuple(np.linspace(0, 1, 201) ** 0.7), degree=5, path_points=6)
+    finer = found_by(MOUNTS, method=fine)
+    assert finer.params["stiffness"] == pytest.approx(mounts.params["stiffness"], rel=1e-3)
+    assert finer.cost == pytest.approx(mounts.cost, rel=1e-3)
 
 
 def test_the_arm_is_held_back_by_its_joints(arm: Solution) -> None:
     assert flies(arm)
-    assert arm.mesh_error < 2e-3
+    assert arm.mesh_error < 5e-4
     plan = arm.trajectory
     deflection = [np.abs(plan[f"{name}.displacement_local"]).max() for name in ARM.TOP]
-    # At the collocation points the limit holds; between them it is passed by 5 % at most.
-    assert ARM.GIVES * 0.999 < max(deflection) < ARM.GIVES * 1.05
+    # At the points the limit holds; between them it is passed by a thousandth at most.
+    assert ARM.GIVES * 0.999 < max(deflection) < ARM.GIVES * 1.001
     for name, top in ARM.TOP.items():
         assert np.abs(plan[f"{name}_torque"]).max() == pytest.approx(top, rel=1e-4)
     assert plan["fore.angle_z"][-1] == pytest.approx(sum(ARM.TURN), abs=1e-8)
@@ -136,9 +138,18 @@ def test_the_arm_is_held_back_by_its_joints(arm: Solution) -> None:
 
 
 @pytest.mark.slow
+def test_a_finer_mesh_changes_the_time_of_the_arm_little(arm: Solution) -> None:
+    """Torques linear on each interval converge; held on each of 40 they cost 14 ms more."""
+    finer = found_by(ARM, method=replace(ARM.METHOD, intervals=160))
+    assert arm.t_end - 5e-4 < finer.t_end < arm.t_end
+    held = found_by(ARM, method=Collocation(40, degree=4, scheme="radau"))
+    assert held.t_end > arm.t_end + 0.01
+
+
+@pytest.mark.slow
 def test_joints_that_may_give_way_save_time(arm: Solution) -> None:
     free = optimise(ARM.problem(gives=0.1), ARM.METHOD, ARM.GUESS, ARM.SOLVER)
-    assert free.t_end < arm.t_end - 0.02
+    assert free.t_end < arm.t_end - 0.015
     most = [np.abs(free.trajectory[f"{name}.displacement_local"]).max() for name in ARM.TOP]
     assert max(most) > 1.5 * ARM.GIVES
 
@@ -187,4 +198,4 @@ def test_command_names_params_that_were_found(
 ) -> None:
     given = ["ocp", str(MODELS / "mount_design.py"), "--folder", str(tmp_path)]
     assert command_line.main(given) == 0
-    assert "  stiffness = 126" in capsys.readouterr().out
+    assert "  stiffness = 127" in capsys.readouterr().out
