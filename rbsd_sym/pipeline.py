@@ -19,6 +19,7 @@ import numpy as np
 from .formulations import ModelWarning, Quaternion
 from .in_plane import Formulation, smallest
 from .integrators import Idas
+from .linear.point import check_kept, check_known, filled
 from .minimal import balance
 from .model import Model, derive
 from .parts import Label
@@ -149,51 +150,15 @@ def make_experiment(
     """Everything by name turned into vectors, and checked."""
     dae = model.dae
     every = (*dae.p_labels, *dae.idle_p_labels)
-    values = _override(model, "parameter", every, [v.start for v in every], params)
+    values = filled(model, "parameter", every, [v.start for v in every], params)
     p, idle = values[: model.n_p], values[model.n_p :]
     x, z = dae.start_values(p)
     labels = (*dae.x_labels, *dae.z_labels)
-    _check_kept(model, start)
-    xz = _override(model, "state", labels, np.concatenate([x, z]), start)
-    _check_known(model, "input", dae.u_labels, inputs)
+    check_kept(model, start, "start")
+    xz = filled(model, "state", labels, np.concatenate([x, z]), start)
+    check_known(model, "input", dae.u_labels, inputs)
     signals = tuple(_signal(model, v, inputs.get(v.name, v.start)) for v in dae.u_labels)
     return Experiment(_times(times), xz[: model.n_x], xz[model.n_x :], p, signals, idle)
-
-
-def _check_kept(model: Model, start: Mapping[str, float]) -> None:
-    still = {d.name: f"left out at {d.value:.6g}: {d.reason}" for d in model.dropped}
-    how = still | {r.name: f"replaced: it is {r.how}" for r in model.replaced}
-    for name in set(start) & set(how):
-        remedy = "a start elsewhere needs compile_scene(minimal=False)"
-        if "rate of" in how[name]:
-            remedy = "without inertia it has no start of its own"
-        raise ValueError(f"model '{model.name}': state '{name}' was {how[name]}; {remedy}")
-
-
-def _check_known(
-    model: Model, kind: str, labels: Sequence[Label], given: Mapping[str, Any]
-) -> None:
-    names = [label.name for label in labels]
-    for name in given:
-        if name not in names:
-            there = ", ".join(names[:30]) or "none"
-            raise ValueError(f"model '{model.name}': no {kind} '{name}'; there are: {there}")
-
-
-def _override(
-    model: Model, kind: str, labels: Sequence[Label], values: Any, given: Mapping[str, float]
-) -> np.ndarray:
-    _check_known(model, kind, labels, given)
-    out = np.array(values, float)
-    for i, label in enumerate(labels):
-        value = given.get(label.name, out[i])
-        if not is_number(value) or not np.isfinite(float(value)):
-            raise ValueError(
-                f"model '{model.name}', {kind} '{label.name}': {value!r} {label.unit}; give a "
-                "finite number"
-            )
-        out[i] = float(value)
-    return out
 
 
 def _signal(model: Model, label: Label, value: Any) -> Signal:

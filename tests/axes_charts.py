@@ -117,7 +117,7 @@ def bare_idas(model: rs.Model, t_end: float, exact: bool) -> Contender:
         names, done = tuple(v.name for v in model.x_labels), Outcome.reached_end
         stats = {"steps": float(built(rtol).stats()["nsteps"])}
         return Trajectory(model.name, grid, columns, done, done.value, stats, {}, names,
-                          model.digest, model.measure, model.left_out)  # fmt: skip
+                          model.digest, model.measure_all, model.left_out)  # fmt: skip
 
     label = "Idas, interpreted"
     return Contender(label, label, contenders.tolerances(_APART), False, run,

@@ -30,7 +30,8 @@ def library_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 _LONG = (
     "test_effects", "test_effects_contact", "test_effects_friction", "test_effects_materials",
     "test_events", "test_events_cascades", "test_events_hidden",
-    "test_generalized_alpha", "test_data_states", "test_data_states_forms",
+    "test_generalized_alpha", "test_generalized_alpha_steps", "test_data_states",
+    "test_data_states_forms",
 )  # fmt: skip
 
 

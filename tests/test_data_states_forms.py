@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from data_scenes import TIGHT, compiled, names
 from event_scenes import Seen, ball, body, joint, names_of, watch
-from test_plane import carried, shuffled, some_rotation
+from plane_scenes import carried, shuffled, some_rotation
 
 import rbsd_sym as rs
 

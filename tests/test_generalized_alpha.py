@@ -1,20 +1,27 @@
-"""Generalized-alpha: order, amplification, oracles, published numbers, C, steps, failures."""
+"""Generalized-alpha: order, amplification, oracles, published numbers."""
 
 from __future__ import annotations
 
-import dataclasses
-import shutil
-import subprocess
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
-import massless_chart
 import numpy as np
 import published_scenes as published
 import pytest
 import reference_scenes as reference
+from alpha_scenes import (
+    FORMULATIONS,
+    GROUND,
+    K_TUMBLING,
+    TIGHT,
+    TIP,
+    TUMBLING,
+    WEIGHT,
+    model_of,
+    path,
+    start_of,
+    tumbling,
+)
 from oracles import laws
 from oracles.dissipation import (
     alpha_body,
@@ -29,135 +36,14 @@ import rbsd_sym as rs
 from rbsd_sym.integrators.alpha_step import (
     Layout,
     first_order,
-    rates_function,
     second_order,
     step_function,
 )
-from rbsd_sym.integrators.generalized_alpha import GeneralizedAlpha, Stepper
-from rbsd_sym.pipeline import make_experiment
-from rbsd_sym.trajectory import Outcome
+from rbsd_sym.integrators.generalized_alpha import GeneralizedAlpha
 
-GROUND = rs.Marker(rs.GROUND)
-FORMULATIONS = {"quaternion": rs.Quaternion(), "tait_bryan": rs.TaitBryan()}
-TIGHT = rs.Idas(1e-11, 1e-13)
 NOTHING = np.zeros(0)
-COMPILER = shutil.which("gcc") or shutil.which("cc")
 by_formulation = pytest.mark.parametrize("formulation", FORMULATIONS)
 by_minimal = pytest.mark.parametrize("minimal", [True, False], ids=["minimal", "full"])
-
-
-@cache
-def model_of(name: str, formulation: str = "quaternion", minimal: bool = True) -> rs.Model:
-    return rs.compile_scene(SCENES[name](), FORMULATIONS[formulation], minimal)
-
-
-def oscillator() -> rs.Scene:
-    """One state and its velocity, at 1 rad/s."""
-    body = rs.RigidBody("b", 1.0, [1, 1, 1], velocity=[0.1, 0, 0])
-    spring = rs.RigidBodySpringDamper("s", GROUND, rs.Marker("b"), [1, 0, 0, 0, 0, 0])
-    return rs.Scene("oscillator", [body], [spring])
-
-
-def driven() -> rs.Scene:
-    """A damped oscillator under an input, and a rotation that the input does not reach."""
-    body = rs.RigidBody("b", 2.0, [1, 1, 1], velocity=[0.7, 0, 0])
-    spring = rs.RigidBodySpringDamper(
-        "s", GROUND, rs.Marker("b"), [50, 0, 0, 0, 0, 0], [3, 0, 0, 0, 0, 0]
-    )
-    pull = rs.Load("pull", rs.Marker("b"), force=(rs.Input("f", "N"), 0, 0))
-    return rs.Scene("driven", [body], [spring], [pull])
-
-
-def kelvin() -> rs.Scene:
-    """A massless body on a spring (1 N/m) and a damper (1 N s/m): x' = -x, and x' is algebraic."""
-    body = rs.RigidBody("a", 0, 0, position=(0.4, 0, 0))
-    spring = rs.RigidBodySpringDamper("s", GROUND, rs.Marker("a"), [1] * 6, [1] * 6)
-    return rs.Scene("kelvin", [body], [spring])
-
-
-def maxwell() -> rs.Scene:
-    """A tumbling body with two Maxwell branches, whose forces are states of first order."""
-    body = rs.RigidBody(
-        "b", 1.0, [1, 2, 3], velocity=[0.7, 0.5, 0.2], angular_velocity=[0.3, 0.2, 1.5]
-    )
-    branches = (rs.Maxwell(0, 100.0, 3.0), rs.Maxwell(4, 20.0, 1.0))
-    spring = rs.RigidBodySpringDamper(
-        "s", GROUND, rs.Marker("b"), [50, 60, 70, 8, 9, 10], effects=branches
-    )
-    return rs.Scene("maxwell", [body], [spring], gravity=(0, 0, -9.81))
-
-
-def rod() -> rs.Scene:
-    """A thin rod: its spin about its own axis is algebraic, the other two have inertia."""
-    body = rs.RigidBody(
-        "r", 1.0, (0, 0.1, 0.1), position=(1, 0, 0), velocity=(0, 0.5, 0.2),
-        angular_velocity=(0, 1, -2),
-    )  # fmt: skip
-    K = np.array([300, 400, 500, 20, 30, 40.0])
-    ends = rs.Marker(rs.GROUND, (0.5, 0, 0)), rs.Marker("r", (-0.5, 0.05, 0))
-    spring = rs.RigidBodySpringDamper("s", *ends, K, 0.02 * K, law=rs.Consistent())
-    return rs.Scene("rod", [body], [spring], gravity=(0.1, 0, -9.81))
-
-
-def pendulum() -> rs.Scene:
-    """Planar in a tilted plane: three coordinates in axes of that plane."""
-    R, k = exp_so3([0.3, 0.5, -0.2]), 500.0
-    body = rs.RigidBody(
-        "b", 1.0, [0.01, 0.02, 0.03], position=R @ [1, 0, 0], rotation=R,
-        velocity=R @ [0, 0.5, 0], angular_velocity=[0, 0, 0.5],
-    )  # fmt: skip
-    hinge = rs.RigidBodySpringDamper(
-        "c", rs.Marker(rs.GROUND, (0, 0, 0), R), rs.Marker("b", [-1, 0, 0]),
-        [k, k, k, 50, 50, 0], [1, 1, 1, 0.1, 0.1, 0],
-    )  # fmt: skip
-    return rs.Scene("pendulum", [body], [hinge], gravity=R @ [0, -9.81, 0])
-
-
-TUMBLING = {
-    "mass": 2.0, "inertia": np.diag([0.1, 0.2, 0.25]), "position": np.array([0.1, 0.05, -0.2]),
-    "rotation": exp_so3([0.3, -0.2, 0.5]), "velocity": np.array([0.3, -1, 0.5, 3, -2, 5]),
-}  # fmt: skip
-K_TUMBLING = np.array([400, 500, 700, 25, 50, 32.0])
-TIP = np.array([0.1, 0.2, -0.1])
-WEIGHT = np.array([0, 0, -9.81])
-
-
-def tumbling(law: Any = None) -> rs.Scene:
-    """A body that turns once a second, on a damped spring at a corner."""
-    T = TUMBLING
-    body = rs.RigidBody(
-        "b", T["mass"], T["inertia"], position=T["position"], rotation=T["rotation"],
-        velocity=T["velocity"][:3], angular_velocity=T["velocity"][3:],
-    )  # fmt: skip
-    spring = rs.RigidBodySpringDamper(
-        "s", GROUND, rs.Marker("b", TIP), K_TUMBLING, 0.01 * K_TUMBLING, law=law or rs.Standard()
-    )
-    return rs.Scene("tumbling", [body], [spring], gravity=WEIGHT)
-
-
-SCENES = {
-    "oscillator": oscillator, "driven": driven, "kelvin": kelvin, "maxwell": maxwell, "rod": rod,
-    "pendulum": pendulum, "tumbling": tumbling, "heavy_top": published.heavy_top,
-    "link": lambda: massless_chart.scene(0.0, massless_chart.UNDAMPED),
-    "damped_link": lambda: massless_chart.scene(0.0, massless_chart.DAMPED),
-} | {name: lambda name=name: reference.build(name) for name in reference.REFERENCE}  # fmt: skip
-
-
-def start_of(model: rs.Model) -> list[np.ndarray]:
-    """x, z, u, p at their start."""
-    dae = model.dae
-    groups = (model.x_labels, dae.z_labels, dae.u_labels, dae.p_labels)
-    return [np.array([label.start for label in labels]) for labels in groups]
-
-
-def path(model: rs.Model, t_end: float, integrator: Any) -> np.ndarray:
-    """States and unknowns at 21 times."""
-    found = rs.simulate(model, np.linspace(0, t_end, 21), integrator)
-    return np.array([found[name] for name in found.states])
-
-
-def stepper(model: rs.Model, rho: float = 0.9) -> Stepper:
-    return Stepper(model, make_experiment(model, [0, 1], {}, {}, {}), rho, 1e-10)
 
 
 # Order
@@ -487,226 +373,3 @@ def test_governor_has_the_published_errors_of_generalized_alpha() -> None:
     for h, error in ((1e-3, 7.9e-5), (2e-4, 2.0e-6)):
         found = rs.simulate(model, [0, 1.0], GeneralizedAlpha(h))["rod0.v_y"][-1]
         assert abs(found - published.GOVERNOR_SPEED[1.0]) == pytest.approx(error, rel=0.025)
-
-
-# The step function
-
-
-@pytest.mark.skipif(not COMPILER, reason="no C compiler")
-@pytest.mark.parametrize(
-    ("name", "layout"), [("tumbling", "flat"), ("rod", "flat"), ("chain4", "kernels")]
-)
-def test_step_function_generates_to_c(name: str, layout: str, tmp_path: Path) -> None:
-    """Operations come in the same order: differences are those of fused ones and of exp and sin."""
-    model = rs.compile_scene(SCENES[name](), layout=layout)
-    step = step_function(model, 0.9, 1e-9)
-    generator = ca.CodeGenerator("step.c")
-    generator.add(step)
-    (tmp_path / "step.c").write_text(generator.dump())
-    library = tmp_path / "step.so"
-    subprocess.run(
-        [COMPILER, "-std=c99", "-O0", "-shared", "-fPIC", "step.c", "-o", library, "-lm"],
-        cwd=tmp_path, check=True, capture_output=True,
-    )  # fmt: skip
-    compiled = ca.external("alpha_step", str(library))
-    x, z, u, p = start_of(model)
-    rate = rates_function(model)(0, x, z, u, p)
-    for ours, theirs in zip(*(f(0, 2e-3, x, rate, rate, z, u, p) for f in (step, compiled)),
-                            strict=True):
-        np.testing.assert_allclose(np.array(theirs), np.array(ours), rtol=1e-12, atol=1e-12)
-    for f in (step, compiled):
-        *_, size, count = f(0, 2e-3, x * np.nan, rate, rate, z, u, p)
-        assert float(size) == np.inf
-        assert not float(count) > 12
-
-
-@pytest.mark.parametrize("name", ["pair_consistent", "damped_link"])
-def test_kernels_and_compiled_models_take_the_same_steps(name: str) -> None:
-    """Sums in another order: 1e-16 of 1e6 N/m, over 50 steps."""
-    flat = model_of(name)
-    others = [rs.compile_scene(SCENES[name](), layout="kernels")]
-    others += [rs.compiled(flat, flags=["-O0"])] if COMPILER and name == "pair_consistent" else []
-    exact = path(flat, 0.1, GeneralizedAlpha(2.5e-3))
-    for model in others:
-        assert model.calls
-        found = path(model, 0.1, GeneralizedAlpha(2.5e-3))
-        np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9)
-
-
-def test_single_steps_leave_the_state_as_it_was() -> None:
-    """A step tried, cut and tried again is the step; data states hold during a step, then stay."""
-    s = stepper(model_of("tumbling"))
-    start = s.start(0.0, *start_of(s.model)[:2])
-    whole = s.try_step(start, 0.01)
-    s.try_step(start, 0.003)
-    again = s.try_step(start, 0.01)
-    assert not isinstance(whole, Outcome)
-    assert not isinstance(again, Outcome)
-    assert (whole.x == again.x).all()
-    assert whole.t == 0.01
-    assert s.tried == 3
-
-
-def test_data_states_are_no_unknowns_and_may_be_changed_for_a_step() -> None:
-    """A spring in series with a slider (Plastic): its plastic strain moves the spring's origin."""
-    body = rs.RigidBody("b", 1.0, [1, 1, 1], velocity=[0.1, 0, 0])
-    slider = rs.Plastic(0, 30.0, 1e3)
-    spring = rs.RigidBodySpringDamper(
-        "s", GROUND, rs.Marker("b"), [1, 0, 0, 0, 0, 0], effects=(slider,)
-    )
-    model = rs.compile_scene(rs.Scene("slider", [body], [spring]))
-    names = [label.name for label in model.x_labels]
-    data = [names[i] for i in model.dae.data]
-    assert len(data) == 2
-    assert not set(Layout(model.dae).slots) & set(model.dae.data)
-    s = stepper(model)
-    start = s.start(0.0, *start_of(model)[:2])
-    plain = s.try_step(start, 0.01)
-    values = np.where([name.endswith("_plastic") for name in data], 0.02, 0.0)
-    moved = s.try_step(start, 0.01, values)
-    assert not isinstance(plain, Outcome)
-    assert not isinstance(moved, Outcome)
-    assert (plain.x[s.data] == start.x[s.data]).all()
-    assert sorted(moved.x[s.data]) == [0.0, 0.02]
-    row = names.index("b.v_x")
-    assert moved.rate[row] - plain.rate[row] == pytest.approx(30 * 0.02, rel=0.01)
-
-
-# Steps
-
-
-def test_intervals_are_cut_into_the_fewest_equal_steps() -> None:
-    """0.1 / 0.01 is 10 steps and no sliver, 0.025 / 0.01 is 3."""
-    for times, steps in (([0, 0.1, 0.2, 0.3], 30), ([0, 0.025, 0.05], 6), ([0, 0.01, 0.02], 2),
-                         ([0, 0.004, 0.02], 3), (np.linspace(0, 1, 8), 7 * 15)):
-        found = rs.simulate(model_of("oscillator"), times, GeneralizedAlpha(0.01))
-        assert found.stats["steps"] == steps
-        assert (found.t == np.array(times)).all()
-
-
-def test_shorter_steps_where_newton_fails() -> None:
-    """Steps of 50 ms at 13 rad/s; one is too long to be solved."""
-    found = rs.simulate(model_of("pair_consistent"), [0, 0.5, 1.0], GeneralizedAlpha(0.05, 0.5))
-    assert found.stats["rejected_steps"] > 0
-    assert found.outcome is Outcome.reached_end
-
-
-@pytest.mark.parametrize(("name", "t_end"), [("single", 0.4), ("maxwell", 2.0), ("kelvin", 40.0)])
-def test_error_falls_with_the_tolerance(name: str, t_end: float) -> None:
-    """A local error of h^3 within the tolerance leaves tol^(2/3): 1e-2 over three decades."""
-    model = model_of(name)
-    exact = path(model, t_end, TIGHT)
-    errors, steps, rejected = [], [], 0.0
-    for tolerance in (1e-3, 1e-4, 1e-5, 1e-6):
-        method = GeneralizedAlpha(t_end / 8, 0.8, tolerance, tolerance)
-        found = rs.simulate(model, np.linspace(0, t_end, 21), method)
-        values = np.array([found[state] for state in found.states])
-        errors.append(np.abs(values - exact).max())
-        steps.append(found.stats["steps"])
-        rejected += found.stats["rejected_steps"]
-    assert rejected > 0
-    assert errors[-1] < errors[0] / 20
-    assert steps[-1] / steps[-2] == pytest.approx(10 ** (1 / 3), rel=0.25)
-
-
-def test_adaptive_steps_step_over_a_stiff_vibration() -> None:
-    """The pivot's 2.6e3 rad/s (1e-6 m) do not bind the steps; the top's turning does."""
-    found = rs.simulate(model_of("heavy_top"), [0, 0.2], GeneralizedAlpha(1e-3, 0.5, 1e-4, 1e-4))
-    assert found.stats["steps"] < 0.2 * 2.6e3
-
-
-# Failures
-
-
-def growing(force: Any) -> rs.Scene:
-    """A massless body on a spring whose force never exceeds 1 N, under a load."""
-
-    def law(mbs: Any, t: Any, item: Any, displacement: Any, rotation: Any, *rest: Any) -> list[Any]:
-        return [np.tanh(displacement[0]), displacement[1], displacement[2], *rotation]
-
-    spring = rs.RigidBodySpringDamper("s", GROUND, rs.Marker("a"), np.zeros(6), force=law)
-    load = rs.Load("l", rs.Marker("a"), force=(force, 0, 0))
-    bodies = [rs.RigidBody("a", 0, 0), rs.RigidBody("b", 1.0, [1, 1, 1], velocity=[1, 0, 0])]
-    other = rs.RigidBodySpringDamper("o", GROUND, rs.Marker("b"), [5] * 6)
-    return rs.Scene("growing", bodies, [spring, other], [load])
-
-
-@pytest.mark.parametrize(
-    "tolerances", [{}, {"rtol": 1e-3, "atol": 1e-3}], ids=["fixed", "adaptive"]
-)
-def test_failures_keep_the_trajectory(tolerances: dict[str, float]) -> None:
-    """No solution from t = 0.5 s on; no number from 0.5 s on; too many steps."""
-    unsolvable = rs.compile_scene(growing(2 * rs.TIME))
-    body = rs.RigidBody("b", 1.0, [1, 1, 1])
-    load = rs.Load("l", rs.Marker("b"), force=(np.sqrt(0.5 - rs.TIME), 0, 0))
-    imaginary = rs.compile_scene(rs.Scene("imaginary", [body], [], [load]))
-    times = np.linspace(0, 1, 11)
-    for model, outcomes in ((unsolvable, (Outcome.solver_failed, Outcome.not_finite)),
-                            (imaginary, (Outcome.not_finite,))):
-        found = rs.simulate(model, times, GeneralizedAlpha(0.01, **tolerances), throw=False)
-        assert found.outcome in outcomes
-        assert len(found.t) in (5, 6)
-        assert found.stats["t_failed"] == pytest.approx(0.5, abs=0.011)
-        assert all(np.isfinite(found[name]).all() for name in found.states)
-        assert f"at t = {found.stats['t_failed']:.9g} s" in found.report
-    found = rs.simulate(
-        model_of("single"), times, GeneralizedAlpha(1e-3, max_steps=250, **tolerances), throw=False
-    )
-    if tolerances:
-        assert found.outcome is Outcome.reached_end
-    else:
-        assert found.outcome is Outcome.too_many_steps
-        assert (len(found.t), found.stats["steps"]) == (3, 250)
-
-
-def test_a_start_without_solution_is_told() -> None:
-    found = rs.simulate(
-        rs.compile_scene(growing(2.0 + rs.TIME)), [0, 1], GeneralizedAlpha(0.1), throw=False
-    )
-    assert found.outcome is Outcome.not_consistent
-    assert len(found.t) == 1
-
-
-def test_models_without_states() -> None:
-    """A massless body alone follows its load; a body that nothing moves stays."""
-    spring = rs.RigidBodySpringDamper("s", GROUND, rs.Marker("a"), [20] * 6)
-    load = rs.Load("l", rs.Marker("a"), force=(3 * rs.TIME, 0, 0))
-    scene = rs.Scene("hanging", [rs.RigidBody("a", 0, 0)], [spring], [load])
-    found = rs.simulate(rs.compile_scene(scene), [0, 1, 2], GeneralizedAlpha(0.5))
-    assert found["a.position"][:, 0] == pytest.approx([0, 0.15, 0.3], abs=1e-12)
-    still = rs.compile_scene(rs.Scene("still", [rs.RigidBody("a", 1.0, [1, 1, 1])], []))
-    assert rs.simulate(still, [0, 1], GeneralizedAlpha(1e-9))["a.position"].shape == (2, 3)
-    alone = growing(2 * rs.TIME)
-    alone = dataclasses.replace(alone, bodies=alone.bodies[:1], connectors=alone.connectors[:1])
-    found = rs.simulate(rs.compile_scene(alone), [0, 0.4, 1], GeneralizedAlpha(0.1), throw=False)
-    assert found.outcome in (Outcome.solver_failed, Outcome.not_finite)
-    assert found["a.p_x"][1] == pytest.approx(np.arctanh(0.8), abs=1e-12)
-    assert len(found.t) == 2
-    assert "at t = 0.49" in found.report
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"step": -0.1}, "GeneralizedAlpha: step -0.1 s; it is positive and finite"),
-        ({"step": 0}, "step 0 s; it is positive"),
-        ({"step": np.inf}, "step inf s; it is positive and finite"),
-        ({"step": np.nan}, "step nan s; it is positive and finite"),
-        ({"step": "1e-3"}, "step '1e-3' s; it is positive"),
-        ({"step": True}, "step True s; it is positive"),
-        ({"spectral_radius": -0.1}, "spectral_radius -0.1; it is a number in 0 ... 1"),
-        ({"spectral_radius": 1.1}, "spectral_radius 1.1; it is a number in 0 ... 1"),
-        ({"spectral_radius": None}, "spectral_radius None; it is a number in 0 ... 1"),
-        ({"rtol": 1e-6}, "rtol 1e-06 and atol None; give both"),
-        ({"atol": 1e-6}, "rtol None and atol 1e-06; give both"),
-        ({"rtol": 0.0, "atol": 1e-6}, "rtol 0.0; it is a number in 0 ... 1"),
-        ({"rtol": 1e-6, "atol": -1.0}, "atol -1.0; it is positive and finite"),
-        ({"newton_tolerance": 0.0}, "newton_tolerance 0.0; it is a number in 1e-15 ... 0.001"),
-        ({"max_steps": 0}, "max_steps 0; it is a whole number above 0"),
-        ({"max_steps": 1e6}, "max_steps 1000000.0; it is a whole number above 0"),
-    ],
-)
-def test_bad_arguments_are_told(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match="GeneralizedAlpha") as caught:
-        GeneralizedAlpha(**{"step": 0.1} | arguments)
-    assert message in str(caught.value)

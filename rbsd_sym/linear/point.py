@@ -68,7 +68,7 @@ def locate(
         return _changed(model, _saved(model, x, t), z, inputs, params, None)
     time = _number(0.0 if t is None else t, f"{where}, time", "s")
     every = (*model.dae.p_labels, *model.dae.idle_p_labels)
-    values = _filled(model, "parameter", every, [v.start for v in every], params)
+    values = filled(model, "parameter", every, [v.start for v in every], params)
     p, idle = values[: model.n_p], values[model.n_p :]
     x0, z0 = model.dae.start_values(p)
     point = Point(time, x0, z0, _inputs(model, inputs, time), p, idle)
@@ -87,7 +87,7 @@ def _changed(
     if t is not None:
         point = replace(point, t=_number(t, f"model '{model.name}', time", "s"))
     every = (*model.dae.p_labels, *model.dae.idle_p_labels)
-    values = _filled(model, "parameter", every, [*point.p, *point.idle], params)
+    values = filled(model, "parameter", every, [*point.p, *point.idle], params)
     point = replace(point, p=values[: model.n_p], idle=values[model.n_p :])
     if inputs:
         point = replace(point, u=_inputs(model, inputs, point.t, point.u))
@@ -98,13 +98,13 @@ def _moved(model: Model, point: Point, x: Any, z: Any) -> Point:
     """The point with other states and unknowns."""
     labels = (*model.x_labels, *model.dae.z_labels)
     if isinstance(x, Mapping):
-        _check_kept(model, x)
-        both = _filled(model, "state", labels, [*point.x, *point.z], x)
+        check_kept(model, x, "point")
+        both = filled(model, "state", labels, [*point.x, *point.z], x)
         point = replace(point, x=both[: model.n_x], z=both[model.n_x :])
     elif x is not None:
         point = replace(point, x=_vector(model, "states", model.x_labels, x))
     if isinstance(z, Mapping):
-        point = replace(point, z=_filled(model, "unknown", model.dae.z_labels, point.z, z))
+        point = replace(point, z=filled(model, "unknown", model.dae.z_labels, point.z, z))
     elif z is not None:
         point = replace(point, z=_vector(model, "unknowns", model.dae.z_labels, z))
     return point
@@ -139,7 +139,7 @@ def _inputs(model: Model, given: Mapping[str, Any] | None, t: float, old: Any = 
     """Values of the inputs at time t."""
     labels = model.dae.u_labels
     before = [label.start for label in labels] if old is None else old
-    return _filled(model, "input", labels, before, {k: _at(v, t) for k, v in (given or {}).items()})
+    return filled(model, "input", labels, before, {k: _at(v, t) for k, v in (given or {}).items()})
 
 
 def _at(signal: Any, t: float) -> Any:
@@ -148,29 +148,55 @@ def _at(signal: Any, t: float) -> Any:
     return signal(t) if isinstance(signal, Callable) else signal  # type: ignore[arg-type]
 
 
-def _check_kept(model: Model, given: Mapping[str, float]) -> None:
+def check_kept(model: Model, given: Mapping[str, float], what: str) -> None:
+    """No name is that of a state that the minimal model left out or replaced.
+
+    Arguments:
+        what: "point" or "start", for the message.
+
+    Raises:
+        ValueError: one is.
+    """
     still = {d.name: f"left out at {d.value:.6g}: {d.reason}" for d in model.dropped}
     how = still | {r.name: f"replaced: it is {r.how}" for r in model.replaced}
     for name in given:
         if name in how:
-            raise ValueError(
-                f"model '{model.name}': state '{name}' was {how[name]}; a point elsewhere needs "
-                "compile_scene(minimal=False)"
-            )
+            remedy = f"a {what} elsewhere needs compile_scene(minimal=False)"
+            if "rate of" in how[name]:
+                remedy = f"without inertia it has no {what} of its own"
+            raise ValueError(f"model '{model.name}': state '{name}' was {how[name]}; {remedy}")
 
 
-def _filled(
+def check_known(
+    model: Model, kind: str, labels: Sequence[Label], given: Mapping[str, Any]
+) -> None:  # fmt: skip
+    """All names are those of labels.
+
+    Raises:
+        ValueError: one is not.
+    """
+    names = [label.name for label in labels]
+    for name in given:
+        if name not in names:
+            there = ", ".join(names[:_LISTED]) or "none"
+            raise ValueError(f"model '{model.name}': no {kind} '{name}'; there are: {there}")
+
+
+def filled(
     model: Model, kind: str, labels: Sequence[Label], values: Any, given: Mapping[str, Any] | None
 ) -> np.ndarray:
-    """Values with those given by name in their places."""
-    place = {label.name: i for i, label in enumerate(labels)}
+    """Values with those given by name in their places.
+
+    Raises:
+        ValueError: unknown names, values that are no finite numbers.
+    """
+    given = given or {}
+    check_known(model, kind, labels, given)
     out = np.array(values, float)
-    for name, value in (given or {}).items():
-        if name not in place:
-            there = ", ".join(list(place)[:_LISTED]) or "none"
-            raise ValueError(f"model '{model.name}': no {kind} '{name}'; there are: {there}")
-        label = labels[place[name]]
-        out[place[name]] = _number(value, f"model '{model.name}', {kind} '{name}'", label.unit)
+    for i, label in enumerate(labels):
+        if label.name in given:
+            where = f"model '{model.name}', {kind} '{label.name}'"
+            out[i] = _number(given[label.name], where, label.unit)
     return out
 
 

@@ -24,6 +24,7 @@ a `Frame` is the problem on the symbols of its model, an `Interval` one stage of
 with exact derivatives, a `Chain` all stages, a `Plan` what the numbers of the answer mean.
 """
 
+from .between import Miss
 from .collocation import Collocation
 from .export import export_problem
 from .flight import Flight
@@ -44,6 +45,7 @@ __all__ = [
     "Free",
     "Ipopt",
     "Iteration",
+    "Miss",
     "Nlp",
     "OptimisationError",
     "Outcome",

@@ -34,7 +34,8 @@ class Miss:
     Fields:
         what: phase, kind and name.
         t: s.
-        amount, relative: how far the value is outside, and that relative to 1 + |bound|.
+        relative: how far the value is outside: of `misses` relative to 1 + |bound|, of
+            `between_points` to the room between the bounds, or to the bound.
     """
 
     what: str

@@ -70,11 +70,8 @@ class Collocation:
 
     def interval(self, frame: Frame, i: int) -> Interval:
         """A stage of phase i: w = [y; Inputs at their nodes; x, z at each point]."""
-        on, point, limit = (
-            self._stage(frame, i),
-            frame.point(i),
-            limits(frame, i, self.input_degree),
-        )
+        on, point = self._stage(frame, i), frame.point(i)
+        limit = limits(frame, i, self.input_degree)
         step, rows, cost = on.length * on.c[0], [], 0
         taus = [float(tau) for tau in on.rule.nodes[1:]]
         for j, tau in enumerate(taus):

@@ -131,11 +131,13 @@ class _Search:
         }  # fmt: skip
 
     def _solved(self, chain: Chain, lam: dict[str, np.ndarray], start: Guess) -> _Found:
-        report = ""
+        report, spent = "", 0.0
         for solver in [self.solver] if self.solver else _team(self.progress, lam):
             answer = solver.solve(chain.nlp, lam, self.progress)
+            spent += answer.seconds
             if answer.outcome.ok or answer.outcome is Outcome.stopped:
                 break
+        answer = answer._replace(seconds=spent)
         if not answer.outcome.ok and answer.outcome is not Outcome.stopped:
             answer, report = _explained(chain, solver, answer, start)
         plan = read(chain, answer.x)

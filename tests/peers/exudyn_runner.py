@@ -122,12 +122,14 @@ class System:
         """
         kinds = exu.MainSolverExplicit, exu.MainSolverImplicitSecondOrder
         solver, settings = kinds[setting.solver in IMPLICIT](), _simulation_settings(setting, t_end)
-        count, deadline = itertools.count(), time.process_time() + limit
+        count, deadline, late = itertools.count(), time.process_time() + limit, []
 
         def before_step(mbs: Any, t: float) -> bool:
             if watch and next(count) % every == 0:
                 watch(self.state())
-            return time.process_time() < deadline
+            if time.process_time() >= deadline:
+                late.append(t)
+            return not late
 
         self._mbs.SetPreStepUserFunction(before_step if watch or limit < np.inf else 0)
         wall, cpu = time.perf_counter(), time.process_time()
@@ -136,7 +138,7 @@ class System:
         except (RuntimeError, ValueError) as e:
             raise Failure(str(e).strip().split("\n")[0]) from None
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-        if cpu > limit:
+        if late:
             raise Failure(f"given up after {cpu:.3g} s")
         if not success or not np.isfinite(state := self.state()).all():
             raise Failure(solver.GetErrorString().strip() or "not finite")
