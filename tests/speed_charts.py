@@ -1,7 +1,7 @@
 """Speed against accuracy of every integrator, in every form, and of the peers, scene by scene.
 
 `python tests/speed_charts.py [NAME ...]` writes generated/charts/speed/<scene>.png, .csv and .md
-and the summary README.md there; without names all scenes, in about ten minutes. Exudyn and scipy
+and the summary README.md there; without names all scenes, in half an hour. Exudyn and scipy
 (`pip install '.[peers]'`) take part if they are there.
 """
 
