@@ -132,3 +132,17 @@ def test_path_points_are_whole_numbers() -> None:
     for wrong in (-1, 1.5):
         with pytest.raises(ValueError, match="path_points"):
             Collocation(4, 3, path_points=wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("as_row", "points"), [(False, 0), (True, 0), (False, 3)])
+def test_a_wall_that_cannot_be_kept_to_is_named(as_row: bool, points: int) -> None:
+    """At 1 m/s and 1 N the cart of 1 kg stops after 0.5 m and 1 s."""
+    model = rs.compile_scene(cart(velocity=(1, 0, 0)))
+    wall = {"wall": Bound("cart.p_x", high=HIGH, unit="m")} if as_row else (
+        {"cart.p_x": (None, HIGH)})  # fmt: skip
+    phase = Phase(4.0, end={"cart.p_x": 0}, path=wall, integral=FORCE**2 / 2)
+    problem = Problem(model, phase, inputs={"force": Free(low=-1, high=1)})
+    method = Collocation(6, 3, input_degree=1, path_points=points)
+    found = optimise(problem, method, throw=False)
+    name = "wall" if as_row else "cart.p_x"
+    assert f"path '{name}' at t = 1 s is 0.5 m, wanted 0.111111 m (missed by" in found.report

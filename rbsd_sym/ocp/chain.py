@@ -79,7 +79,8 @@ def chained(
         end = at_end(frame, i)
         node = _node(frame, i, opened(frame, end) if elastic else end, guess, False, True)
         if elastic:
-            body, node = loosened(body, "path"), loosened(node, "end")
+            box = _state_box(frame, i, intervals[i])
+            body, node = loosened(body, "path", box), loosened(node, "end")
         parts += [("interval", body), ("end", node)]
     nlp = Nlp(tuple(part for _, part in parts))
     return Chain(frame, tuple(intervals), mesh, nlp, tuple(kind for kind, _ in parts))
@@ -115,6 +116,16 @@ def _body(
         np.clip(np.vstack(values), lower, upper), row_low, row_high, tuple(names), rows,
         (np.array(when), row_when), i, np.vstack([starts, mesh[1:]]).T, kinds,
     )  # fmt: skip
+
+
+def _state_box(frame: Frame, i: int, interval: Interval) -> np.ndarray:
+    """Bounds (n_w, 2) along a phase of the states and unknowns among an interval's variables."""
+    free = np.array([[-np.inf], [np.inf]])
+    bounds = {kind: path_box(frame, i, kind) for kind in "xz"}
+    bounds["u"] = np.repeat(free, frame.n_v, axis=1)
+    constants = np.repeat(free, frame.n_y - frame.model.n_x, axis=1)
+    blocks = [bounds[kind] for kind, _ in interval.variables]
+    return np.hstack([bounds["x"], constants, *blocks]).T
 
 
 def _y_labels(frame: Frame) -> tuple[Label, ...]:
