@@ -88,7 +88,7 @@ def _loops(model: Model, symbol: str, parts: Assembled, kernels: Sequence[str]) 
         f"static int {symbol}_loops({_ARGUMENTS})", "{",
         "  casadi_real *out = res[0];",
         *_stacked(sizes),
-        *(["  const casadi_real *given = arg[5];"] if parts.letter else []),
+        *(["  const casadi_real *given = arg[5];", "  (void)given;"] if parts.letter else []),
         "  if (!out) return 0;",
         f"  for (int i = 0; i < {n}; ++i) out[i] = 0;",
     ]  # fmt: skip

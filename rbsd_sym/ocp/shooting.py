@@ -36,8 +36,7 @@ class Shooting:
     Explicit steps are of the classical method of order 4, or of order 8 [Hairer, Norsett, Wanner
     1993]; they are stable while step times frequency stays below 2.8, or 5.5. `Rosenbrock` is for
     stiff models and algebraic unknowns; it chooses its steps, which IPOPT's Newton steps notice
-    unless its tolerances are tight. Conditions along the path hold at the ends of steps, those of
-    states at the ends of intervals.
+    unless its tolerances are tight. Conditions along the path hold at the ends of steps.
 
     Arguments:
         intervals: as in `Collocation`.
@@ -101,10 +100,12 @@ class Shooting:
         start, step = t0 + length * c[1], length * c[0]
         march = self._rosenbrock if self.integrator else self._explicit
         states, unknowns, cost = march(frame, i, x, nodes, s, start, step)
-        point, rows = frame.point(i), []
+        limit, rows = limits(frame, i, self.input_degree), []
         for j, tau in enumerate(self._taus[1:]):
             v = inputs_at(same_input(self.input_degree, tau)[0], nodes, frame.n_v)
-            rows.append(point(start + step * tau, states[j + 1], unknowns[j + 1], v, s)[3])
+            at = (start + step * tau, states[j + 1], unknowns[j + 1], v, s)
+            # Bounds of states at the end are those of the variables that come next.
+            rows.append(limit.value(*at) if tau < 1 else frame.point(i)(*at)[3])
         v_end = inputs_at(same_input(self.input_degree, 1.0)[0], nodes, frame.n_v)
         handed = v_end if frame.n_m else ca.MX(0, 1)
         following = ca.vertcat(states[-1], s, handed)
@@ -112,10 +113,10 @@ class Shooting:
         return Interval(
             StageFunctions.derived("interval", w, c, following, ca.vertcat(*rows), cost),
             variables=input_blocks(self.input_degree),
-            rows=tuple(("path", float(tau)) for tau in self._taus[1:]),
+            rows=(*(("between", float(tau)) for tau in self._taus[1:-1]), ("path", 1.0)),
             saved=self._taus[:-1],
             dense=dense,
-            limits=limits(frame, i, self.input_degree),
+            limits=limit,
             checked=self._taus[:-1],
             check=dense,
         )

@@ -96,8 +96,8 @@ class Solution:
             IDAS at rtol 1e-10 is from the plan at its saved points, from the plan's own states at
             its start. `mesh_error` is the largest. Empty if not flown.
         flown: the whole plan integrated by IDAS, and the difference.
-        between: conditions along the path that the plan passes between the points at which the
-            method keeps them: of each the worst place found at four times as many points.
+        between: conditions along the path that a plan by `Collocation` passes between the points at
+            which they are kept: of each the worst place found at four times as many points.
         multipliers: by name of a condition, the changes of the cost by its bound; "costate of
             <state>" at the ends of intervals.
         stats: iterations and time (s) of the solver, over all rounds; time_flight and time_build
