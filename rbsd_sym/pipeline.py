@@ -22,7 +22,6 @@ from .integrators import Idas
 from .linear.point import check_kept, check_known, filled
 from .minimal import balance
 from .model import Model, derive
-from .parts import Label
 from .scene import Scene
 from .symbols import is_number
 from .trajectory import Experiment, Outcome, Samples, Signal, Trajectory
@@ -157,17 +156,24 @@ def make_experiment(
     check_kept(model, start, "start")
     xz = filled(model, "state", labels, np.concatenate([x, z]), start)
     check_known(model, "input", dae.u_labels, inputs)
-    signals = tuple(_signal(model, v, inputs.get(v.name, v.start)) for v in dae.u_labels)
+    where = f"model '{model.name}', input"
+    signals = tuple(
+        signal_of(inputs.get(v.name, v.start), f"{where} '{v.name}'", v.unit) for v in dae.u_labels
+    )
     return Experiment(_times(times), xz[: model.n_x], xz[model.n_x :], p, signals, idle)
 
 
-def _signal(model: Model, label: Label, value: Any) -> Signal:
-    where = f"model '{model.name}', input '{label.name}'"
+def signal_of(value: Any, where: str, unit: str) -> Signal:
+    """A number, a function of t, or samples (times, values), checked.
+
+    Raises:
+        ValueError: it is none of them, or not finite.
+    """
     if callable(value):
         return value
     if is_number(value):
         if not np.isfinite(float(value)):
-            raise ValueError(f"{where}: {value} {label.unit}; give a finite number")
+            raise ValueError(f"{where}: {value} {unit}; give a finite number")
         return float(value)
     try:
         t, samples = (np.array(part, float) for part in value)

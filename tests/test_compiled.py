@@ -362,7 +362,7 @@ def test_folders_of_two_kinds(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="holds a simulator; use load_simulator"):
         rs.load_c(folder)
     for wrong in (of_model, tmp_path):
-        with pytest.raises(ValueError, match=r"no simulator; use load_c|no readable manifest"):
+        with pytest.raises(ValueError, match=r"holds a model; use load_c|no readable manifest"):
             rs.load_simulator(wrong)
     (folder / "notes.txt").write_text("mine")
     rs.export_simulator(model, folder, ROS)  # the same kind: replaced

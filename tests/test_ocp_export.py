@@ -387,9 +387,11 @@ def test_what_cannot_be_exported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     rs.export_c(model, tmp_path)
     with pytest.raises(ValueError, match="optimal control problem"):
         export_problem(least(), EFFORT, tmp_path)
-    with pytest.raises(ValueError, match="use export_problem"):
+    with pytest.raises(ValueError, match="holds a model; use load_c"):
         load_problem(tmp_path)
     artefact = export_problem(least(), EFFORT, tmp_path / "mine")
+    with pytest.raises(ValueError, match="holds an optimal control problem; use load_problem"):
+        rs.load_c(artefact)
     with pytest.raises(ValueError, match="does not match model"):
         load_problem(artefact, rs.compile_scene(column()))
     if shutil.which("cc"):

@@ -73,6 +73,7 @@ BAD: dict[str, tuple[Callable[[], Any], str]] = {
     "rotation": (lambda: solve(Phase(1.0, end={"cart.quaternion": (1, 1, 0, 0)})), "norm 1.41"),
     "guess outside": (lambda: Free(3.0, 0, 1), "guess 3.0 outside"),
     "guess of nothing": (lambda: solve(guess={"cart.x": 1}), "no state, algebraic unknown"),
+    "guess not finite": (lambda: solve(guess={"force": float("nan")}), "nan N; give a finite"),
     "guess sizes": (lambda: solve(guess={"force": ([0, 1], [1, 2, 3])}), r"\(2,\) and \(3,\)"),
     "given input bounded": (lambda: solve(Phase(1.0, path={"force": (0, 1)}), 0.5), "is given"),
     "input that branches": (lambda: solve(force=lambda t: 1 if t < 1 else 2), "cannot be traced"),

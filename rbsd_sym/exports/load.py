@@ -21,6 +21,11 @@ from . import names
 from .files import Artefact, read_manifest, sha256
 
 OPTIMISED = ("-O2",)
+_KINDS = {  # of a folder, by its manifest: in a sentence, what loads it, what writes it
+    "model": ("a model", "load_c", "export_c"),
+    "simulator": ("a simulator", "load_simulator", "export_simulator"),
+    "optimal control problem": ("an optimal control problem", "load_problem", "export_problem"),
+}
 
 
 class CompilerMissing(RuntimeError):
@@ -69,14 +74,45 @@ def load_c(
         CompilerMissing: there is no compiler.
         RuntimeError: the compiler failed; with its message.
     """
+    path, manifest = build_folder(source, "model", "", model, compiler, flags)
+    name, digest = str(manifest["name"]), str(manifest["digest"])
+    return Library(path, name, digest, tuple(manifest["functions"]))
+
+
+def build_folder(
+    source: Artefact | str | os.PathLike[str],
+    kind: str,
+    suffix: str,
+    model: Model | None,
+    compiler: str | None,
+    flags: Sequence[str],
+) -> tuple[Path, dict]:
+    """The library of a generated folder, compiled if the cache does not hold it yet; its manifest.
+
+    Arguments:
+        kind: what the folder is to hold.
+        suffix: of its files' names, after the model's.
+
+    Raises:
+        ValueError, CompilerMissing, RuntimeError: as `load_c`; the folder holds something else.
+    """
     folder = source.folder if isinstance(source, Artefact) else Path(source)
     manifest = read_manifest(folder)
-    if manifest.get("kind", "model") != "model":
-        raise ValueError(f"{folder}: holds a {manifest['kind']}; use load_simulator")
-    name = str(manifest["name"])
-    text = check_folder(folder, manifest, name, model)
-    library = build(f"{name}-{manifest['digest']}", text, compiler, flags)
-    return Library(library, name, str(manifest["digest"]), tuple(manifest["functions"]))
+    own = manifest.get("kind", "model")
+    if own != kind:
+        what, load, _ = _KINDS.get(own, (f"'{own}'", "the version that wrote it", ""))
+        raise ValueError(f"{folder}: holds {what}; use {load}")
+    file = f"{manifest['name']}{suffix}"
+    text = check_folder(folder, manifest, file, model)
+    return build(f"{file}-{manifest['digest']}", text, compiler, flags), manifest
+
+
+def labels_of(manifest: dict) -> dict[str, tuple[tuple[str, str, float], ...]]:
+    """Name, unit and start of each label in a manifest, by group."""
+    return {
+        group: tuple((str(name), str(unit), float(start)) for name, unit, start in rows)
+        for group, rows in manifest["labels"].items()
+    }
 
 
 def check_folder(folder: Path, manifest: dict, file: str, model: Model | None) -> str:
@@ -93,7 +129,7 @@ def check_folder(folder: Path, manifest: dict, file: str, model: Model | None) -
     if model is not None and manifest["digest"] != model.digest:
         raise ValueError(
             f"{folder}: library model {manifest['digest']} does not match model {model.digest}; "
-            f"run {'export_simulator' if 'kind' in manifest else 'export_c'}(model, folder) again"
+            f"run {_KINDS[manifest.get('kind', 'model')][2]}(model, folder) again"
         )
     texts = {}
     for name in (f"{file}.c", f"{file}.h"):

@@ -15,8 +15,8 @@ import numpy as np
 from ..model import Model
 from ..symbols import is_number
 from ..trajectory import Column, Outcome, Trajectory
-from .files import Artefact, read_manifest
-from .load import OPTIMISED, build, check_folder
+from .files import Artefact
+from .load import OPTIMISED, build_folder, labels_of
 from .simulator import SIMULATOR
 
 _OUTCOMES = (
@@ -244,17 +244,10 @@ def load_simulator(
         CompilerMissing: there is no compiler.
         RuntimeError: the compiler failed; with its message.
     """
-    folder = source.folder if isinstance(source, Artefact) else Path(source)
-    manifest = read_manifest(folder)
-    if manifest.get("kind") != SIMULATOR:
-        raise ValueError(f"{folder}: no simulator; use load_c, or export_simulator first")
-    name = str(manifest["name"])
-    text = check_folder(folder, manifest, f"{name}_simulate", model)
-    path = build(f"{name}_simulate-{manifest['digest']}", text, compiler, flags)
-    labels = {kind: tuple((str(n), str(unit), float(start)) for n, unit, start in rows)
-              for kind, rows in ({"idle_p": []} | manifest["labels"]).items()}  # fmt: skip
+    path, manifest = build_folder(source, SIMULATOR, "_simulate", model, compiler, flags)
+    labels = {"idle_p": (), **labels_of(manifest)}
     return Simulator(
-        path, name, str(manifest["digest"]), labels, float(manifest["rtol"]),
+        path, str(manifest["name"]), str(manifest["digest"]), labels, float(manifest["rtol"]),
         float(manifest["atol"]), bool(manifest.get("moves")), model,
         tuple(manifest.get("events", ())),
     )  # fmt: skip

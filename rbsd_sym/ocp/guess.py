@@ -9,9 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..integrators.driver import input_values
+from ..pipeline import signal_of
 from ..rotation import matrix_xyz, quat_matrix
-from ..symbols import is_number
-from ..trajectory import Samples, Trajectory
+from ..trajectory import Trajectory
 from .ends import at_start, start_values
 from .frame import Frame, quaternions
 from .problem import Free
@@ -207,14 +208,14 @@ def _from_values(frame: Frame, base: Guess, given: Mapping[str, Any]) -> Guess:
     dae = frame.model.dae
     groups = {"x": dae.x_labels, "z": dae.z_labels,
               "v": tuple(dae.u_labels[k] for k in frame.controls)}  # fmt: skip
-    known = {label.name for labels in groups.values() for label in labels}
+    known = {label.name: label.unit for labels in groups.values() for label in labels}
     for name in given:
         if name not in known:
             raise ValueError(
                 f"guess: no state, algebraic unknown or free Input '{name}'; there are: "
                 f"{', '.join(sorted(known))}"
             )
-    signals = {name: _signal(name, value) for name, value in given.items()}
+    signals = {k: signal_of(value, f"guess '{k}'", known[k]) for k, value in given.items()}
 
     def pick(kind: str, default: Any) -> Any:
         def values(i: int, at: np.ndarray) -> np.ndarray:
@@ -223,29 +224,9 @@ def _from_values(frame: Frame, base: Guess, given: Mapping[str, Any]) -> Guess:
             found = default(i, at).copy()
             for k, label in enumerate(groups[kind]):
                 if label.name in signals:
-                    found[k] = signals[label.name](t)
+                    found[k] = input_values((signals[label.name],), t)[0]
             return found
 
         return values
 
     return replace(base, **{kind: pick(kind, getattr(base, kind)) for kind in groups})
-
-
-def _signal(name: str, value: Any) -> Callable[[np.ndarray], np.ndarray]:
-    if is_number(value):
-        return lambda t: np.full(len(t), float(value))
-    if callable(value):
-        return lambda t: np.array([float(value(float(time))) for time in t])
-    try:
-        t, samples = (np.array(part, float) for part in value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"guess '{name}': {value!r}; give a number, a function of t, or samples (times, values)"
-        ) from error
-    if t.ndim != 1 or t.shape != samples.shape or not (np.diff(t) > 0).all() or len(t) < 2:
-        raise ValueError(
-            f"guess '{name}': samples of shape {t.shape} and {samples.shape}; times increase, and "
-            "both have one length of at least 2"
-        )
-    kept = Samples(t, samples)
-    return lambda at: np.interp(at, kept.t, kept.values)

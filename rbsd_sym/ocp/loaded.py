@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..exports.files import Artefact, read_manifest
-from ..exports.load import OPTIMISED, build, check_folder
+from ..exports.files import Artefact
+from ..exports.load import OPTIMISED, build_folder, labels_of
 from ..model import Model
 from .export import PROBLEM
 
@@ -230,14 +230,7 @@ def load_problem(
         CompilerMissing: there is no compiler.
         RuntimeError: the compiler failed; with its message.
     """
-    folder = source.folder if isinstance(source, Artefact) else Path(source)
-    manifest = read_manifest(folder)
-    if manifest.get("kind") != PROBLEM:
-        raise ValueError(f"{folder}: holds no {PROBLEM}; use export_problem first")
-    name = str(manifest["name"])
-    text = check_folder(folder, manifest, f"{name}_ocp", model)
-    path = build(f"{name}_ocp-{manifest['digest']}", text, compiler, flags)
-    labels = {kind: tuple((str(n), str(unit), float(start)) for n, unit, start in rows)
-              for kind, rows in manifest["labels"].items()}  # fmt: skip
-    return ProblemLibrary(path, name, str(manifest["digest"]), manifest["sizes"], labels,
+    path, manifest = build_folder(source, PROBLEM, "_ocp", model, compiler, flags)
+    name, digest = str(manifest["name"]), str(manifest["digest"])
+    return ProblemLibrary(path, name, digest, manifest["sizes"], labels_of(manifest),
                           tuple(manifest["functions"]))  # fmt: skip
