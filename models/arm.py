@@ -13,8 +13,14 @@ import numpy as np
 import rbsd_sym as rs
 
 T_END = 0.5
-COLUMNS = ("shoulder_torque", "elbow_torque", "upper.angle_z", "fore.angle_z",
-           "shoulder.displacement_local", "elbow.displacement_local")  # fmt: skip
+COLUMNS = (
+    "shoulder_torque",
+    "elbow_torque",
+    "upper.angle_z",
+    "fore.angle_z",
+    "shoulder.displacement_local",
+    "elbow.displacement_local",
+)
 INPUTS = {"shoulder_torque": 4.0, "elbow_torque": -1.0}
 METHOD = rs.ocp.Collocation(120, degree=3, scheme="radau", input_degree=1, path_points=2)
 SOLVER = rs.ocp.Ipopt()
@@ -36,12 +42,16 @@ def _link(name: str, mass: float, x: float) -> rs.RigidBody:
 
 def _joint(
     name: str, inner: rs.Marker, outer: str, bushing: tuple[float, float]
-) -> rs.RigidBodySpringDamper:  # fmt: skip
+) -> rs.RigidBodySpringDamper:
     k, d = bushing
     return rs.RigidBodySpringDamper(
-        name, inner, rs.Marker(outer, (-LENGTH / 2, 0, 0)),
-        stiffness=(k, k, k, 1e3, 1e3, 0), damping=(d, d, d, 1, 1, 0.02), law=rs.Consistent(),
-    )  # fmt: skip
+        name,
+        inner,
+        rs.Marker(outer, (-LENGTH / 2, 0, 0)),
+        stiffness=(k, k, k, 1e3, 1e3, 0),
+        damping=(d, d, d, 1, 1, 0.02),
+        law=rs.Consistent(),
+    )
 
 
 def scene(bushing: tuple[float, float] = BUSHING) -> rs.Scene:
@@ -86,9 +96,7 @@ def _rest() -> dict[str, Any]:
     return {name: (v - r, v + r) if r else v for name, (v, r) in ends.items()}
 
 
-def problem(
-    gives: float = GIVES, bushing: tuple[float, float] = BUSHING
-) -> rs.ocp.Problem:  # fmt: skip
+def problem(gives: float = GIVES, bushing: tuple[float, float] = BUSHING) -> rs.ocp.Problem:
     """In least time, with at most `gives` (m) of deflection along each axis of a joint."""
     effort = (SHOULDER / TOP["shoulder"]) ** 2 + (ELBOW / TOP["elbow"]) ** 2
     phase = rs.ocp.Phase(

@@ -27,9 +27,19 @@ WALL = (2.5, 1.0, 1.2)  # place, half width and height of an ellipse for the loa
 
 
 def _rope(
-    mbs, t, item, displacement, rotation, velocity, angular_velocity, stiffness, damping, rotJ0,
-    rotJ1, offset,
-):  # fmt: skip
+    mbs,
+    t,
+    item,
+    displacement,
+    rotation,
+    velocity,
+    angular_velocity,
+    stiffness,
+    damping,
+    rotJ0,
+    rotJ1,
+    offset,
+):
     """Spring (4e4 N/m) and damper (400 N s/m) along the line between the points."""
     d = displacement
     length = np.sqrt(d @ d)
@@ -43,10 +53,14 @@ def scene() -> rs.Scene:
     trolley = rs.RigidBody("trolley", MASS, (10, 10, 10), position=(0, 0, LENGTH), size=edge)
     load = rs.RigidBody("load", MASS, (10, 10, 10), size=(0.5, 0.5, 0.5))
     hoist = rs.RigidBodySpringDamper(
-        "hoist", rs.Marker(rs.GROUND, (0, 0, LENGTH)), rs.Marker("trolley"),
-        stiffness=(0, 0, SERVO, 0, 0, 0), damping=(0, 0, 4e3, 0, 0, 0),
-        offset=(0, 0, LIFT + 2 * WEIGHT / SERVO, 0, 0, 0), show=False,
-    )  # fmt: skip
+        "hoist",
+        rs.Marker(rs.GROUND, (0, 0, LENGTH)),
+        rs.Marker("trolley"),
+        stiffness=(0, 0, SERVO, 0, 0, 0),
+        damping=(0, 0, 4e3, 0, 0, 0),
+        offset=(0, 0, LIFT + 2 * WEIGHT / SERVO, 0, 0, 0),
+        show=False,
+    )
     rope = rs.RigidBodySpringDamper(
         "rope", rs.Marker("trolley"), rs.Marker("load"), 0, force=_rope, draw_size=0.05
     )

@@ -22,17 +22,23 @@ def scene(stiffness: float = 1.0) -> rs.Scene:
     hub = rs.RigidBody("hub", 1, (0.1, 0.1, 0.1), size=(0.3, 0.3, 0.3))
     tip = rs.RigidBody("tip", 1, (0.1, 0.1, 0.1), position=(1, 0, 0), size=(0.2, 0.2, 0.2))
     rod = rs.RigidBodySpringDamper(
-        "rod", rs.Marker("hub"), rs.Marker("tip"),
-        stiffness=(stiffness, 0, 0, 0, 0, 0), offset=(1, 0, 0, 0, 0, 0),
-    )  # fmt: skip
+        "rod",
+        rs.Marker("hub"),
+        rs.Marker("tip"),
+        stiffness=(stiffness, 0, 0, 0, 0, 0),
+        offset=(1, 0, 0, 0, 0, 0),
+    )
     motor = rs.Load("motor", rs.Marker("hub"), force=(PUSH, 0, 0))
     return rs.Scene("flexible_slew", [hub, tip], [rod], [motor])
 
 
 def problem(stiffness: float = 1.0, force_in_rod: float | None = None) -> rs.ocp.Problem:
     """Over 1 m in least time with at most 1 N, and at most `force_in_rod` (N) in the rod."""
-    limit = rs.ocp.Bound(lambda v: v["rod.force_local"][0], -force_in_rod, force_in_rod, "N") \
-        if force_in_rod else None  # fmt: skip
+    limit = (
+        rs.ocp.Bound(lambda v: v["rod.force_local"][0], -force_in_rod, force_in_rod, "N")
+        if force_in_rod
+        else None
+    )
     phase = rs.ocp.Phase(
         rs.ocp.Free(4.0, low=1.0, high=10.0),
         end=REST,

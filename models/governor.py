@@ -22,15 +22,32 @@ def _turning(name, mass, inertia, position, size, angle=0.0, com=(0, 0, 0)):
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     return rs.RigidBody(
-        name, mass, inertia, com=com, position=position, rotation=R, size=size,
-        velocity=np.cross(SPIN, position), angular_velocity=R.T @ SPIN,
-    )  # fmt: skip
+        name,
+        mass,
+        inertia,
+        com=com,
+        position=position,
+        rotation=R,
+        size=size,
+        velocity=np.cross(SPIN, position),
+        angular_velocity=R.T @ SPIN,
+    )
 
 
 def _strut(
-    mbs, t, item, displacement, rotation, velocity, angular_velocity, stiffness, damping, rotJ0,
-    rotJ1, offset,
-):  # fmt: skip
+    mbs,
+    t,
+    item,
+    displacement,
+    rotation,
+    velocity,
+    angular_velocity,
+    stiffness,
+    damping,
+    rotJ0,
+    rotJ1,
+    offset,
+):
     """Spring (4000 N/m, 0.5 m long) and damper (200 N s/m) along the line between the points."""
     d = displacement
     length = np.sqrt(d @ d)
@@ -50,12 +67,17 @@ def _bodies():
         _turning("slider", 3.0, _box(3.0, 0.1, 0.1, 0.1), (0, 0, 0.5), (0.1, 0.1, 0.1)),
         *(
             _turning(
-                f"rod_{i}", rod + ball, inertia, (side * reach, 0, 0.75), (1.0, 0.01, 0.01),
-                side * TILT, (side * com, 0, 0),
+                f"rod_{i}",
+                rod + ball,
+                inertia,
+                (side * reach, 0, 0.75),
+                (1.0, 0.01, 0.01),
+                side * TILT,
+                (side * com, 0, 0),
             )
             for i, side in enumerate((1, -1))
         ),
-    ]  # fmt: skip
+    ]
 
 
 def scene() -> rs.Scene:

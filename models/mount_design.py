@@ -14,8 +14,12 @@ import numpy as np
 import rbsd_sym as rs
 
 T_END = 2.0
-COLUMNS = ("engine.displacement", "left.displacement_local", "right.displacement_local",
-           "left.force0")  # fmt: skip
+COLUMNS = (
+    "engine.displacement",
+    "left.displacement_local",
+    "right.displacement_local",
+    "left.force0",
+)
 METHOD = rs.ocp.Collocation(tuple(np.linspace(0, 1, 101) ** 0.7), degree=7, path_points=4)
 MASS, GRAVITY = 120.0, 9.81
 TILT = math.radians(35)  # of the mounts, towards the engine
@@ -34,11 +38,17 @@ def _mount(name: str, side: int) -> rs.RigidBodySpringDamper:
     share = np.array([0.4, 0.4, 1, 0.001, 0.3**2, 0.4 * 0.3**2])
     place, half = (0, side * 0.3, -0.25), MASS * GRAVITY / 2
     return rs.RigidBodySpringDamper(
-        name, rs.Marker(rs.GROUND, place), rs.Marker("engine", place),
-        stiffness=share * STIFFNESS, damping=share * DAMPING,
+        name,
+        rs.Marker(rs.GROUND, place),
+        rs.Marker("engine", place),
+        stiffness=share * STIFFNESS,
+        damping=share * DAMPING,
         offset=[0, half * s / (0.4 * STIFFNESS), half * c / STIFFNESS, 0, 0, 0],
-        rotation_marker0=turned, rotation_marker1=turned, law=rs.Consistent(), draw_size=0.06,
-    )  # fmt: skip
+        rotation_marker0=turned,
+        rotation_marker1=turned,
+        law=rs.Consistent(),
+        draw_size=0.06,
+    )
 
 
 def scene() -> rs.Scene:
@@ -49,10 +59,13 @@ def scene() -> rs.Scene:
     angle = SLOW * rs.TIME + rise * rs.TIME**2 / 2
     pull = UNBALANCE * speed**2
     loads = [
-        rs.Load("unbalance", rs.Marker("engine", (0, 0, 0.1)),
-                force=(0, pull * np.cos(angle), pull * np.sin(angle))),
+        rs.Load(
+            "unbalance",
+            rs.Marker("engine", (0, 0, 0.1)),
+            force=(0, pull * np.cos(angle), pull * np.sin(angle)),
+        ),
         rs.Load("drive", rs.Marker("engine"), torque=(TORQUE * (speed / FAST) ** 2, 0, 0)),
-    ]  # fmt: skip
+    ]
     mounts = [_mount("left", 1), _mount("right", -1)]
     return rs.Scene("mount_design", [engine], mounts, loads, gravity=(0, 0, -GRAVITY))
 

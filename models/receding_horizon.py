@@ -31,10 +31,12 @@ def scene() -> rs.Scene:
     hub = rs.RigidBody("hub", 1, (0.1, 0.1, 0.1), size=(0.3, 0.3, 0.3))
     tip = rs.RigidBody("tip", 1, (0.1, 0.1, 0.1), position=(1, 0, 0), size=(0.2, 0.2, 0.2))
     rod = rs.RigidBodySpringDamper(
-        "rod", rs.Marker("hub"), rs.Marker("tip"),
+        "rod",
+        rs.Marker("hub"),
+        rs.Marker("tip"),
         stiffness=(rs.Param("stiffness", STIFFNESS, "N/m"), 0, 0, 0, 0, 0),
         offset=(1, 0, 0, 0, 0, 0),
-    )  # fmt: skip
+    )
     loads = [
         rs.Load("motor", rs.Marker("hub"), force=(PUSH, 0, 0)),
         rs.Load("wind", rs.Marker("tip"), force=(GUST, 0, 0)),
@@ -49,9 +51,11 @@ def problem(start: dict[str, float] | None = None) -> rs.ocp.Problem:
         return sum((v[name] - goal) ** 2 for name, goal in GOAL.items())
 
     phase = rs.ocp.Phase(
-        HORIZON, start or {}, integral=lambda v: miss(v) + 0.1 * PUSH**2,
+        HORIZON,
+        start or {},
+        integral=lambda v: miss(v) + 0.1 * PUSH**2,
         end_cost=lambda v: 10 * miss(v),
-    )  # fmt: skip
+    )
     inputs = {"push": rs.ocp.Free(low=-1, high=1), "gust": 0.0}
     return rs.ocp.Problem(rs.compile_scene(scene()), phase, inputs=inputs)
 
@@ -127,15 +131,23 @@ def close_the_loop(t_end: float = T_END, using: tuple[Controller, str] | None = 
         pushes.append(control(state))
         seconds.append(time.perf_counter() - begun)
         moved = rs.simulate(
-            plant, [t, t + STEP / 2, t + STEP], rs.Idas(1e-9, 1e-11),
+            plant,
+            [t, t + STEP / 2, t + STEP],
+            rs.Idas(1e-9, 1e-11),
             inputs={"push": pushes[-1], "gust": gust(t)},
-            params={"stiffness": TRUE_STIFFNESS}, start=state,
-        )  # fmt: skip
+            params={"stiffness": TRUE_STIFFNESS},
+            start=state,
+        )
         state = {name: float(moved[name][-1]) for name in state}
         for name, value in state.items():
             states[name].append(value)
-    return Run(np.append(times, times[-1] + STEP), np.array(pushes), np.array(seconds),
-               {name: np.array(values) for name, values in states.items()}, said)  # fmt: skip
+    return Run(
+        np.append(times, times[-1] + STEP),
+        np.array(pushes),
+        np.array(seconds),
+        {name: np.array(values) for name, values in states.items()},
+        said,
+    )
 
 
 def picture(run: Run) -> Any:
@@ -147,8 +159,10 @@ def picture(run: Run) -> Any:
     for name in ("hub.p_x", "tip.p_x"):
         (line,) = place.plot(run.t, run.states[name], label=f"{name.split('.')[0]}")
         place.axhline(GOAL[name], color=line.get_color(), lw=0.8, ls=":")
-    place.set(ylabel="position [m]", title=f"Spring of {TRUE_STIFFNESS} N/m, planned for "
-              f"{STIFFNESS} N/m; dotted: the goal")  # fmt: skip
+    place.set(
+        ylabel="position [m]",
+        title=f"Spring of {TRUE_STIFFNESS} N/m, planned for {STIFFNESS} N/m; dotted: the goal",
+    )
     place.legend(frameon=False, loc="lower right")
     force.stairs(run.push, run.t, baseline=None, label="push, at most 1 N")
     blown = [gust(t) for t in run.t[:-1]]

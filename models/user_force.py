@@ -7,9 +7,19 @@ COLUMNS = ("body.position", "spring.rotation", "spring.force_local")
 
 
 def force(
-    mbs, t, item, displacement, rotation, velocity, angular_velocity, stiffness, damping, rotJ0,
-    rotJ1, offset,
-):  # fmt: skip
+    mbs,
+    t,
+    item,
+    displacement,
+    rotation,
+    velocity,
+    angular_velocity,
+    stiffness,
+    damping,
+    rotJ0,
+    rotJ1,
+    offset,
+):
     """Springs with a little damping along y and about x; called once, with symbols."""
     k, u, th = stiffness, displacement, rotation
     return [

@@ -3,8 +3,11 @@
 The file to read first is `pipeline.py`.
 """
 
-from . import atlas, ocp, plots, study
-from .elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
+from . import ocp, plots, study
+from .analysis.equilibrium import EquilibriumError, static_equilibrium
+from .analysis.linearize import linearize
+from .analysis.sensitivity import sensitivity
+from .base.symbols import TIME, Input, Param, where
 from .exports import (
     Artefact,
     CompilerMissing,
@@ -42,14 +45,12 @@ from .laws import (
     Table,
     stops,
 )
-from .linear import EquilibriumError, linearize, static_equilibrium
-from .model import Model
+from .model.model import Model
+from .model.trajectory import Outcome, Trajectory
 from .pipeline import IntegrationError, compile_scene, simulate
-from .scene import Scene
-from .sensitivity import sensitivity
-from .symbols import TIME, Input, Param, where
-from .trajectory import Outcome, Trajectory
-from .user_functions import Event
+from .scene.elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
+from .scene.functions import Event
+from .scene.scene import Scene
 from .version import VERSION as __version__
 
 __all__ = [
@@ -96,7 +97,6 @@ __all__ = [
     "TaitBryan",
     "Trajectory",
     "__version__",
-    "atlas",
     "compile_scene",
     "compiled",
     "export_c",

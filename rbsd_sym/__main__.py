@@ -17,7 +17,7 @@ from typing import Any
 
 import rbsd_sym as rs
 
-from .files import write_whole
+from .base.files import write_whole
 
 _EPILOG = """
 MODEL is a Python file that defines scene(); it may define T_END (s), COLUMNS (names to plot) and
@@ -259,9 +259,11 @@ def _map(options: argparse.Namespace, model: rs.Model, asked: dict[str, Any]) ->
 
 def _atlas(options: argparse.Namespace) -> None:
     """Remake pages of the atlas; one that fails does not stop the others."""
-    pages = [p for p in rs.atlas.pages() if options.page in (None, p.number)]
+    atlas = _load_atlas(Path("models").resolve() / "atlas")
+    every = atlas.pages()
+    pages = [page for page in every if options.page in (None, page.number)]
     if not pages:
-        numbers = ", ".join(str(page.number) for page in rs.atlas.pages())
+        numbers = ", ".join(str(page.number) for page in every)
         raise ValueError(f"stability --page {options.page}: no such page; there are: {numbers}")
     folder = options.folder / "charts" / "atlas"
     folder.mkdir(parents=True, exist_ok=True)
@@ -269,13 +271,38 @@ def _atlas(options: argparse.Namespace) -> None:
     for page in pages:
         try:
             with _progress(f"page {page.number}: {page.title}"):
-                rs.atlas.make(page, folder, full=not options.short)
+                atlas.make(page, folder, full=not options.short)
         except Exception as error:  # whatever fails on a page, the others are made
             failed.append(f"{page.number} ({type(error).__name__}: {error})")
-    rs.atlas.contents(folder)
+    atlas.contents(folder)
     print(f"wrote {len(pages) - len(failed)} of {len(pages)} pages to {folder}")
     if failed:
         raise ValueError(f"stability: pages that failed: {'; '.join(failed)}")
+
+
+def _load_atlas(folder: Path) -> ModuleType:
+    """Import the stability atlas, a package beside the model files.
+
+    Raises:
+        ValueError: the folder does not hold it.
+    """
+    file = folder / "__init__.py"
+    if not file.is_file():
+        raise ValueError(
+            f"stability: no {folder} here; the stability atlas is part of the repository, not of "
+            "the installed package; run the command from the repository's root"
+        )
+    spec = importlib.util.spec_from_file_location(
+        "atlas", file, submodule_search_locations=[str(folder)]
+    )
+    if spec is None or spec.loader is None:
+        raise ValueError(f"stability: {file} is not a Python package; restore it")
+    for name in [n for n in sys.modules if n == "atlas" or n.startswith("atlas.")]:
+        del sys.modules[name]  # of another folder, loaded earlier in this process
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["atlas"] = module  # its pages import from it
+    spec.loader.exec_module(module)
+    return module
 
 
 def _ocp(options: argparse.Namespace) -> None:

@@ -16,15 +16,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from .base.symbols import is_number
 from .formulations import ModelWarning, Quaternion
-from .in_plane import Formulation, smallest
+from .formulations.in_plane import Formulation, smallest
 from .integrators import Idas
-from .linear.point import check_kept, check_known, filled
 from .minimal import balance
-from .model import Model, derive
-from .scene import Scene
-from .symbols import is_number
-from .trajectory import Experiment, Outcome, Samples, Signal, Trajectory
+from .model.model import Model, derive
+from .model.trajectory import Experiment, Outcome, Samples, Signal, Trajectory
+from .model.values import check_kept, check_known, filled
+from .scene.scene import Scene
 
 _DEFAULT_INTERVALS = 200
 _GROWTH_WORTH_A_WARNING = 0.2  # exponent: a disturbance that grows by less than a fifth is none
@@ -53,10 +53,7 @@ _LAYOUTS = {"auto": None, "flat": False, "kernels": True}
 
 
 def compile_scene(
-    scene: Scene,
-    formulation: Formulation | None = None,
-    minimal: bool = True,
-    layout: str = "auto",
+    scene: Scene, formulation: Formulation | None = None, minimal: bool = True, layout: str = "auto"
 ) -> Model:
     """The model of a scene.
 

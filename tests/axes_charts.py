@@ -27,18 +27,18 @@ for place in (ROOT / "tests", ROOT):  # run as a script, from a checkout that is
     if str(place) not in sys.path:
         sys.path.append(str(place))
 
-import reference_scenes  # noqa: E402
-import speed_charts as charts  # noqa: E402
-import speed_contenders as contenders  # noqa: E402
-import speed_pages as pages  # noqa: E402
-from oracles import handwritten  # noqa: E402
-from speed_contenders import POINTS, Contender  # noqa: E402
-from speed_front import sober, time_at  # noqa: E402
-from speed_scenes import Case, stiff  # noqa: E402
+import reference_scenes
+import speed_charts as charts
+import speed_contenders as contenders
+import speed_pages as pages
+from oracles import handwritten
+from speed_contenders import POINTS, Contender
+from speed_front import sober, time_at
+from speed_scenes import Case, stiff
 
-import rbsd_sym as rs  # noqa: E402
-from rbsd_sym.plots.style import COLOURS, MARKERS  # noqa: E402
-from rbsd_sym.trajectory import Column, Outcome, Trajectory  # noqa: E402
+import rbsd_sym as rs
+from rbsd_sym.model.trajectory import Column, Outcome, Trajectory
+from rbsd_sym.plots.style import COLOURS, MARKERS
 
 CAP = 0.5  # CPU seconds of a run
 _APART = 0.5  # decades between tolerances

@@ -29,10 +29,10 @@ for folder in (ROOT / "tests", ROOT):  # run as a script, from a checkout that i
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
 
-import reference_scenes  # noqa: E402
-from oracles import handwritten, scenes  # noqa: E402
+import reference_scenes
+from oracles import handwritten, scenes
 
-import rbsd_sym as rs  # noqa: E402
+import rbsd_sym as rs
 
 ERROR = 1e-6  # largest error of the final state that a run may have to count
 REPEATS = 7

@@ -18,10 +18,10 @@ for folder in (ROOT, ROOT / "tests"):  # run as a script, from a checkout that i
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
 
-from effect_scenes import along, block  # noqa: E402
-from oracles import discontinuities as events  # noqa: E402
+from effect_scenes import along, block
+from oracles import discontinuities as events
 
-import rbsd_sym as rs  # noqa: E402
+import rbsd_sym as rs
 
 WIDTHS = np.logspace(-1.5, -5, 8)
 RTOL, ATOL = 1e-8, 1e-10

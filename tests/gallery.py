@@ -13,8 +13,8 @@ from types import ModuleType
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # run as a script, from a checkout that is not installed
 
-import rbsd_sym as rs  # noqa: E402
-from rbsd_sym.__main__ import load_model_file  # noqa: E402
+import rbsd_sym as rs
+from rbsd_sym.__main__ import load_model_file
 
 FOLDER = ROOT / "generated" / "gallery"
 LONGEST = 4.0  # s

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 if str(ROOT) not in sys.path:  # run as a script, from a checkout that is not installed
     sys.path.append(str(ROOT))
 
-import rbsd_sym as rs  # noqa: E402
+import rbsd_sym as rs
 
 MASSES = np.logspace(-5, -2, 7)
 T_END = 0.2

@@ -15,10 +15,10 @@ ROOT = Path(__file__).parents[1]
 if str(ROOT) not in sys.path:  # run as a script, from a checkout that is not installed
     sys.path.append(str(ROOT))
 
-from rbsd_sym.__main__ import load_model_file  # noqa: E402
-from rbsd_sym.ocp import Collocation, Ipopt, Shooting, optimise  # noqa: E402
-from rbsd_sym.plots.style import COLOURS, MARKERS  # noqa: E402
-from rbsd_sym.study import Table  # noqa: E402
+from rbsd_sym.__main__ import load_model_file
+from rbsd_sym.ocp import Collocation, Ipopt, Shooting, optimise
+from rbsd_sym.plots.style import COLOURS, MARKERS
+from rbsd_sym.study import Table
 
 EFFORT = 0.2973110416781024533  # of the slew of two masses in 5 s
 INTERVALS = (4, 8, 16, 32, 64)

@@ -18,9 +18,9 @@ for folder in (ROOT, ROOT / "tests"):  # run as a script, from a checkout that i
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
 
-from rbsd_sym.__main__ import load_model_file  # noqa: E402
-from rbsd_sym.ocp import Collocation, Fatrop, Ipopt, optimise  # noqa: E402
-from rbsd_sym.study import Table  # noqa: E402
+from rbsd_sym.__main__ import load_model_file
+from rbsd_sym.ocp import Collocation, Fatrop, Ipopt, optimise
+from rbsd_sym.study import Table
 
 DEGREE, REPEATS = 4, 5
 INTERVALS = {"effort": 20, "turn": 30}

@@ -31,15 +31,15 @@ for place in (ROOT / "tests", ROOT):  # run as a script, from a checkout that is
     if str(place) not in sys.path:
         sys.path.append(str(place))
 
-import speed_contenders as contenders  # noqa: E402
-import speed_pages as pages  # noqa: E402
-from speed_contenders import POINTS, Contender  # noqa: E402
-from speed_front import sober, time_at  # noqa: E402
-from speed_scenes import CASES, Case  # noqa: E402
+import speed_contenders as contenders
+import speed_pages as pages
+from speed_contenders import POINTS, Contender
+from speed_front import sober, time_at
+from speed_scenes import CASES, Case
 
-import rbsd_sym as rs  # noqa: E402
-from rbsd_sym.study.precision import ErrorOf  # noqa: E402
-from rbsd_sym.trajectory import Column, Trajectory  # noqa: E402
+import rbsd_sym as rs
+from rbsd_sym.model.trajectory import Column, Trajectory
+from rbsd_sym.study.work_precision import ErrorOf
 
 TARGET = 1e-6
 ENOUGH = 1e-10  # error beyond which no tighter setting is tried

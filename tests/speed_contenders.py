@@ -26,7 +26,7 @@ from oracles.rotations import from_quaternion, to_quaternion
 from speed_scenes import Case, rates
 
 import rbsd_sym as rs
-from rbsd_sym.trajectory import Column, Outcome, Trajectory
+from rbsd_sym.model.trajectory import Column, Outcome, Trajectory
 
 POINTS = 8  # output intervals
 _FEW = 60  # states, above which collocation takes seconds to build

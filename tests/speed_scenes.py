@@ -18,7 +18,7 @@ from oracles.rotations import Array, cross, from_quaternion
 
 import rbsd_sym as rs
 from rbsd_sym.__main__ import load_model_file
-from rbsd_sym.checks import at_default
+from rbsd_sym.base.checks import at_default
 
 MODELS = Path(__file__).parents[1] / "models"
 Wrenches = Callable[[float, Array], tuple[Array, Array]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import shutil
 import subprocess
 import sys
@@ -15,24 +16,16 @@ import rbsd_sym
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "rbsd_sym"
 FILES = sorted(PACKAGE.rglob("*.py"))
-FLOORS = (
-    {"zeros", "version", "spectra", "reduction", "newton", "tableau", "parts", "files"},
-    {"rotation", "dae", "trajectory", "symbols"},
-    {"mechanics", "checks", "kernels"},
-    {"laws", "sensors", "user_functions", "assembly"},
-    {"elements"},
-    {"scene"},
-    {"formulations"},
-    {"minimal", "model"},
-    {"casadi_events"},
-    {"exports", "integrators", "in_plane", "linear"},
-    {"pipeline"},
-    {"ocp", "study", "sensitivity"},
-    {"plots"},
-    {"atlas"},
-    {"__main__"},
-)
-FLOOR = {unit: i for i, units in enumerate(FLOORS) for unit in units}
+FLOOR_ROW = re.compile(r"\| (\d+) \| ([\w`, ]+) \|")
+
+
+def floors(readme: Path) -> dict[str, int]:
+    """Floor of each unit, from the table of floors in a README."""
+    rows = FLOOR_ROW.findall(readme.read_text(encoding="utf-8"))
+    return {unit: int(floor) for floor, units in rows for unit in re.findall(r"\w+", units)}
+
+
+FLOOR = floors(PACKAGE / "README.md")
 
 
 def unit_of(path: Path) -> str:
@@ -69,11 +62,10 @@ def test_absolute_imports_of_the_package_are_not_used() -> None:
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_sizes_and_habits(path: Path) -> None:
     text = path.read_text()
-    assert text.count("\n") <= 400, "a file holds at most 400 lines"
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             assert node.end_lineno is not None
-            assert node.end_lineno - node.lineno < 45, f"{node.name} is over 45 lines"
+            assert node.end_lineno - node.lineno < 60, f"{node.name} is over 60 lines"
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
             assert getattr(node.exc.func, "id", "") not in ("Exception", "AssertionError")
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print":

@@ -18,7 +18,7 @@ from oracles.rotations import exp_so3
 from reference_scenes import REFERENCE
 
 import rbsd_sym as rs
-from rbsd_sym.atlas import (
+from models.atlas import (
     angle_limits,
     circulatory,
     feeding_damper,
@@ -28,8 +28,9 @@ from rbsd_sym.atlas import (
     pages,
     resting_derivative,
 )
-from rbsd_sym.atlas.exact_energy import Pose, exact_orders
-from rbsd_sym.rotation import matrix_quat, quat_exp, quat_log, quat_product
+from models.atlas.exact_energy import Pose, exact_orders
+from rbsd_sym.base.rotation import matrix_quat, quat_exp, quat_log, quat_product
+from rbsd_sym.model.model import derive
 from rbsd_sym.study import Table
 from rbsd_sym.study.domain import domain
 
@@ -310,7 +311,7 @@ def test_domain_is_silent_far_from_limits() -> None:
     assert row["crossed"]
     assert row["t"] == pytest.approx(T_PI, abs=1e-3)
     with pytest.raises(ValueError, match=r"no scene.*compile_scene"):
-        domain(rs.model.derive(model.dae), run)
+        domain(derive(model.dae), run)
 
 
 def whirl_growth(g: Any, c: Any) -> Any:

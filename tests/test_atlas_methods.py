@@ -17,7 +17,7 @@ from oracles import discontinuities, tumbling
 from oracles.dissipation import spectral_radius
 
 import rbsd_sym as rs
-from rbsd_sym.atlas import (
+from models.atlas import (
     bdf_order,
     explicit_limit,
     governor,
@@ -27,7 +27,8 @@ from rbsd_sym.atlas import (
     stick_slip_zeno,
     stiffness_sweep,
 )
-from rbsd_sym.plots import precision, style
+from rbsd_sym.plots import precision_chart as precision
+from rbsd_sym.plots import style
 from rbsd_sym.study import Table
 
 PAGES = {

@@ -14,9 +14,9 @@ import pytest
 from oracles import laws as oracle
 from oracles import rotations
 
-from rbsd_sym import rotation as rot
+from rbsd_sym.base import rotation as rot
 from rbsd_sym.laws import Consistent, Intrinsic, SpringDamper, Standard, respond
-from rbsd_sym.mechanics import Frame, Motion
+from rbsd_sym.mechanics.motion import Frame, Motion
 
 EPS = float(np.finfo(float).eps)
 REFERENCE = json.loads((Path(__file__).parent / "reference" / "derivatives.json").read_text())

@@ -33,12 +33,7 @@ from oracles.dissipation import (
 from oracles.rotations import cross, exp_so3
 
 import rbsd_sym as rs
-from rbsd_sym.integrators.alpha_step import (
-    Layout,
-    first_order,
-    second_order,
-    step_function,
-)
+from rbsd_sym.integrators.alpha_step import Groups, first_order, second_order, step_function
 from rbsd_sym.integrators.generalized_alpha import GeneralizedAlpha
 
 NOTHING = np.zeros(0)
@@ -90,7 +85,7 @@ def test_order_two_with_unknowns_and_states_of_first_order(
 ) -> None:
     """Also with rho = 0, where the start's a0 = v0' is felt most. `kinds` counts what is moved."""
     model = model_of(name, formulation)
-    moved = Layout(model.dae).moved
+    moved = Groups(model.dae).moved
     second, tangent = sum(m.second for m in moved), sum(m.velocity is not None for m in moved)
     assert (second, tangent, len(moved) - second - tangent) == kinds
     exact = path(model, 0.2, TIGHT)

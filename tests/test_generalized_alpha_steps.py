@@ -11,24 +11,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from alpha_scenes import (
-    GROUND,
-    SCENES,
-    TIGHT,
-    model_of,
-    path,
-    start_of,
-)
+from alpha_scenes import GROUND, SCENES, TIGHT, model_of, path, start_of
 
 import rbsd_sym as rs
-from rbsd_sym.integrators.alpha_step import (
-    Layout,
-    rates_function,
-    step_function,
-)
+from rbsd_sym.integrators.alpha_step import Groups, rates_function, step_function
 from rbsd_sym.integrators.generalized_alpha import GeneralizedAlpha, Stepper
+from rbsd_sym.model.trajectory import Outcome
 from rbsd_sym.pipeline import make_experiment
-from rbsd_sym.trajectory import Outcome
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 
@@ -106,7 +95,7 @@ def test_data_states_are_no_unknowns_and_may_be_changed_for_a_step() -> None:
     names = [label.name for label in model.x_labels]
     data = [names[i] for i in model.dae.data]
     assert len(data) == 2
-    assert not set(Layout(model.dae).slots) & set(model.dae.data)
+    assert not set(Groups(model.dae).slots) & set(model.dae.data)
     s = stepper(model)
     start = s.start(0.0, *start_of(model)[:2])
     plain = s.try_step(start, 0.01)

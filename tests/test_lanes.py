@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import rbsd_sym as rs
-from rbsd_sym.exports.files import template
+from rbsd_sym.exports.folder import template
 from rbsd_sym.exports.lanes import functions_text, kernel_text
 
 EPS = np.finfo(float).eps

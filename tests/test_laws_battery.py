@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 import rbsd_sym.laws
+from rbsd_sym.base.rotation import quat_exp, quat_matrix
 from rbsd_sym.laws import SpringDamper, respond
-from rbsd_sym.mechanics import Frame, Motion
-from rbsd_sym.rotation import quat_exp, quat_matrix
+from rbsd_sym.mechanics.motion import Frame, Motion
 
 EPS = float(np.finfo(float).eps)
 POSES = 1000

@@ -13,7 +13,7 @@ from test_minimal import chain
 
 import rbsd_sym as rs
 from rbsd_sym.__main__ import load_model_file
-from rbsd_sym.assembly import _Term, scatter_add
+from rbsd_sym.model.assembly import _Term, scatter_add
 
 MODELS = Path(__file__).parents[1] / "models"
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from reference_scenes import build
 
 import rbsd_sym as rs
-from rbsd_sym.linear import Linear, locate
-from rbsd_sym.linear.chart import chart_of
-from rbsd_sym.linear.equilibrium import Rest
-from rbsd_sym.linear.linearize import balanced
+from rbsd_sym.analysis.equilibrium import Rest
+from rbsd_sym.analysis.linearize import Linear, balanced
+from rbsd_sym.analysis.tangent import chart_of
+from rbsd_sym.model.values import locate
 
 EPS = float(np.finfo(float).eps)
 GROUND = rs.Marker(rs.GROUND)

@@ -6,16 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from massless_scenes import (
-    GROUND,
-    ground,
-    largest,
-    massless,
-    residual,
-    spring,
-    strung,
-    values_of_z,
-)
+from massless_scenes import GROUND, ground, largest, massless, residual, spring, strung, values_of_z
 
 import rbsd_sym as rs
 

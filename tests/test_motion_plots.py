@@ -15,8 +15,9 @@ from PIL import Image
 
 import rbsd_sym as rs
 from models import pair
-from rbsd_sym import files
-from rbsd_sym.plots import motion, motion_files
+from rbsd_sym.base import files
+from rbsd_sym.plots import animation as motion
+from rbsd_sym.plots import motion_files
 from rbsd_sym.plots.motion_camera import back_to_front, camera, hidden
 from rbsd_sym.plots.motion_track import Source, Track, track
 from rbsd_sym.plots.shapes import (

@@ -8,15 +8,7 @@ from typing import Any
 import complex_step
 import numpy as np
 import pytest
-from ocp_scenes import (
-    FORCE,
-    SLEW,
-    cart,
-    column,
-    hinged,
-    massless_slew,
-    oscillator,
-)
+from ocp_scenes import FORCE, SLEW, cart, column, hinged, massless_slew, oscillator
 
 import rbsd_sym as rs
 from rbsd_sym.ocp import (

@@ -15,8 +15,8 @@ from oracles.scenes import final_state, simulate, start_state
 sys.__dict__.setdefault("exudynFast", True)  # before the first import, as the runner does
 exudyn = pytest.importorskip("exudyn")
 
-from peers import exudyn_runner as runner  # noqa: E402
-from peers.exudyn_runner import Setting  # noqa: E402
+from peers import exudyn_runner as runner
+from peers.exudyn_runner import Setting
 
 SCENES = json.loads((Path(__file__).parent / "reference" / "scenes.json").read_text())["scenes"]
 NODES = ("rotvec", "ep", "rxyz")

@@ -24,7 +24,7 @@ from plane_scenes import (
 )
 
 import rbsd_sym as rs
-from rbsd_sym.checks import at_default
+from rbsd_sym.base.checks import at_default
 from rbsd_sym.formulations.layout import Layout
 from rbsd_sym.formulations.plane import Plane, planes, written_in
 

@@ -14,6 +14,7 @@ import pytest
 
 import rbsd_sym as rs
 from rbsd_sym import __main__ as command_line
+from rbsd_sym.analysis.linearize import Linear
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -80,7 +81,7 @@ def test_block_about_stability(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     namespace: dict[str, object] = {}
     exec(compile(scene.split("jacobian =")[0] + linear, "README.md", "exec"), namespace)
     found, gradient = namespace["linear"], namespace["gradient"]
-    assert isinstance(found, rs.linear.Linear)
+    assert isinstance(found, Linear)
     assert found.stable
     # The damper along x: 20 N s/m on 2 kg.
     assert np.abs(found.eigenvalues.real + 5).min() < 1e-4

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from oracles import rotations as oracle
 
-from rbsd_sym import rotation as rot
+from rbsd_sym.base import rotation as rot
 
 EPS = float(np.finfo(float).eps)
 # The series of quat_exp ends at sqrt(0.1) = 0.316..., hence the two angles beside it.

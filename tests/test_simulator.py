@@ -19,8 +19,8 @@ from oracles import closed_forms
 from test_simulate import CLOSE, GRID, D, K, M, by_name
 
 import rbsd_sym as rs
-from rbsd_sym.exports.simulate import _Stats as Stats
-from rbsd_sym.tableau import A, C
+from rbsd_sym.base.tableau import A, C
+from rbsd_sym.exports.simulator_load import _RunStats as Stats
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 C99 = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
@@ -182,7 +182,9 @@ def test_order_of_one_step_and_of_its_interpolant(load: Load) -> None:
         found = simulator(h, points=50, rtol=1e-9, atol=6e3, **given)
         same = rs.simulate(driven(), found.t, rs.Dop853(1e-9, 6e3), **given)
         assert found.stats["steps"] == same.stats["steps"] == 1
-        assert np.abs(states(driven(), same) - states(driven(), found)).max() < 1e-15
+        # The interpolant's coefficients are some hundreds, and compilers may contract products.
+        apart = np.abs(states(driven(), same) - states(driven(), found)).max()
+        assert apart < 100 * np.finfo(float).eps * np.abs(states(driven(), same)).max()
         exact = np.array(closed_forms.damped_oscillator(found.t, M, 2.0, D, 0.15, 0.3)).T
         error = np.abs(states(driven(), found) - exact)
         errors.append([error[-1, 0], error[:-1].max()])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 from oracles import mathieu
 
 import rbsd_sym as rs
+from models import atlas
+from models.atlas import kapitza
 from rbsd_sym.__main__ import main
-from rbsd_sym.atlas import kapitza
-from rbsd_sym.study.floquet import NODES, NotPeriodic, floquet, monodromy
+from rbsd_sym.analysis.floquet import NODES, NotPeriodic, floquet, monodromy
 
 GROUND = rs.Marker(rs.GROUND)
 MODELS = Path(__file__).parents[1] / "models"
@@ -267,8 +269,8 @@ def test_hills_determinants_agree_with_gauss_method() -> None:
 def page(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """The page in its short form."""
     folder = tmp_path_factory.mktemp("atlas")
-    found = next(p for p in rs.atlas.pages() if p.number == 13)
-    return dict(rs.atlas.make(found, folder, full=False)), folder
+    found = next(p for p in atlas.pages() if p.number == 13)
+    return dict(atlas.make(found, folder, full=False)), folder
 
 
 def test_the_page_tells_where_eigenvalues_at_rest_fail(page: tuple[dict, Path]) -> None:
@@ -338,23 +340,34 @@ def test_mistakes_in_the_command_are_one_line(
 def test_a_page_that_fails_does_not_lose_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    table = rs.study.Table(("a",), ("m",), ((1.0,),))
-
-    def draw(_: object) -> object:
-        from matplotlib.figure import Figure
-
-        return Figure()
-
-    def fails(_: bool) -> dict:
-        raise RuntimeError("no luck")
-
-    pages = (
-        rs.atlas.Page(1, "bad", "Bad", "", fails, draw),  # type: ignore[arg-type]
-        rs.atlas.Page(2, "good", "Good", "", lambda full: {"one": table}, draw),  # type: ignore[arg-type]
-    )
-    monkeypatch.setattr(rs.atlas, "pages", lambda: pages)
+    folder = tmp_path / "models" / "atlas"
+    folder.mkdir(parents=True)
+    for name in ("__init__.py", "pages.py"):
+        shutil.copy(MODELS / "atlas" / name, folder)
+    page = """'''{title}.'''
+import rbsd_sym as rs
+from matplotlib.figure import Figure
+NUMBER = {number}
+def study(full):
+    {line}
+    return {{"one": rs.study.Table(("a",), ("m",), ((1.0,),))}}
+def draw(tables):
+    return Figure()
+"""
+    bad, good = 'raise RuntimeError("no luck")', "pass"
+    (folder / "bad.py").write_text(page.format(title="Bad", number=1, line=bad))
+    (folder / "good.py").write_text(page.format(title="Good", number=2, line=good))
+    monkeypatch.chdir(tmp_path)
     assert main(["stability", "--all", "--short", "--folder", str(tmp_path)]) == 1
     said = capsys.readouterr()
     assert "wrote 1 of 2 pages" in said.out
     assert "1 (RuntimeError: no luck)" in said.err
     assert (tmp_path / "charts" / "atlas" / "02_good.png").exists()
+
+
+def test_the_atlas_is_named_where_it_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["stability", "--all"]) == 1
+    assert "part of the repository, not of the installed package" in capsys.readouterr().err

@@ -11,11 +11,11 @@ from typing import Any
 import casadi as ca
 
 from .. import version
-from ..model import Model
-from . import names
+from ..model.model import Model
+from . import c_names as names
 from .card import card_text
 from .example import example_text
-from .files import MANIFEST, Artefact, sha256, write_folder
+from .folder import MANIFEST, Artefact, sha256, write_folder
 from .header import Exported, banner, defaults_signature, header_text, signature
 from .loops import assembles, stub, with_loops
 
@@ -46,8 +46,7 @@ def export_c(
         "example.c": example_text(model, exported),
         "README.md": card_text(model, exported),
     }
-    sizes = {f.name: {"rows": f.rows, "columns": f.columns, "numbers": f.numbers}
-             for f in exported}  # fmt: skip
+    sizes = {f.name: {"rows": f.rows, "columns": f.columns, "numbers": f.numbers} for f in exported}
     kinds = ("x", "z", "u", "p", "out")
     more = {"functions": sizes} | ({"events": list(model.events)} if model.events else {})
     texts[MANIFEST] = manifest_text(model, texts, kinds, more)
@@ -56,8 +55,9 @@ def export_c(
 
 
 def _default(model: Model) -> list[str]:
-    there = [name for name in (*_ALWAYS, *_JACOBIANS)
-             if name == "ode" or model.function(name).nnz_out(0)]  # fmt: skip
+    there = [
+        name for name in (*_ALWAYS, *_JACOBIANS) if name == "ode" or model.function(name).nnz_out(0)
+    ]
     return [*there, *(["post_newton"] if model.dae.updates else [])]
 
 
@@ -121,11 +121,17 @@ def call_lines(kernel: ca.Function, result: str, given: str) -> list[str]:
         f"  double *res[{max(1, kernel.sz_res())}] = {{0}};",
         f"  casadi_int iw[{max(1, kernel.sz_iw())}];",
         f"  double w[{max(1, kernel.sz_w())}];",
-        "  arg[0] = &t;", "  arg[1] = x;", "  arg[2] = z;", "  arg[3] = u;", "  arg[4] = p;",
+        "  arg[0] = &t;",
+        "  arg[1] = x;",
+        "  arg[2] = z;",
+        "  arg[3] = u;",
+        "  arg[4] = p;",
         *([f"  arg[5] = {given};"] if given else []),
         f"  res[0] = {result};",
-        f"  return {kernel.name()}(arg, res, iw, w, 0);", "}", "",
-    ]  # fmt: skip
+        f"  return {kernel.name()}(arg, res, iw, w, 0);",
+        "}",
+        "",
+    ]
 
 
 def _wrapper(model: Model, f: Exported) -> str:
@@ -135,9 +141,13 @@ def _wrapper(model: Model, f: Exported) -> str:
         for what, values in (("colind", pattern.colind()), ("row", pattern.row())):
             numbers = ", ".join(str(value) for value in values) or "0"
             lines += [
-                f"const int *{names.function(model.name, f.name)}_{what}(void)", "{",
-                f"  static const int {what}[] = {{{numbers}}};", f"  return {what};", "}", "",
-            ]  # fmt: skip
+                f"const int *{names.function(model.name, f.name)}_{what}(void)",
+                "{",
+                f"  static const int {what}[] = {{{numbers}}};",
+                f"  return {what};",
+                "}",
+                "",
+            ]
     return "\n".join(lines)
 
 
@@ -146,12 +156,16 @@ def manifest_text(
 ) -> str:
     """The manifest of a folder: origin, labels of those kinds, hashes of its files, and more."""
     content = {
-        "rbsd_sym": version.VERSION, "abi": version.ABI, "casadi": ca.CasadiMeta.version(),
-        "name": model.name, "digest": model.digest, **more,
+        "rbsd_sym": version.VERSION,
+        "abi": version.ABI,
+        "casadi": ca.CasadiMeta.version(),
+        "name": model.name,
+        "digest": model.digest,
+        **more,
         "labels": {
             kind: [[v.name, v.unit, v.start] for v in getattr(model.dae, f"{kind}_labels")]
             for kind in kinds
         },
         "files": {name: sha256(text) for name, text in sorted(texts.items())},
-    }  # fmt: skip
+    }
     return json.dumps(content, indent=1) + "\n"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from .. import version
-from ..model import Model
-from ..parts import Label
+from ..dae.members import Label
+from ..model.model import Model
 from .header import Exported
 
 
@@ -12,18 +12,33 @@ def card_text(model: Model, functions: list[Exported]) -> str:
     """The text of README.md."""
     dae, name = model.dae, model.name
     lines = [
-        f"# {name}", "",
+        f"# {name}",
+        "",
         f"A model of rigid bodies and 6-DOF spring-dampers, written by rbsd_sym {version.VERSION}: "
-        f"`x' = ode(t, x, z, u, p)`, `0 = alg`, `y = out`. Digest `{model.digest}`.", "",
+        f"`x' = ode(t, x, z, u, p)`, `0 = alg`, `y = out`. Digest `{model.digest}`.",
+        "",
         f"{model.n_x} states, {model.n_z} algebraic unknowns, {model.n_u} inputs, {model.n_p} "
-        f"parameters, {len(dae.out_labels)} outputs.", "",
-        "## Use", "", "```sh",
-        f"cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example", "```", "",
+        f"parameters, {len(dae.out_labels)} outputs.",
+        "",
+        "## Use",
+        "",
+        "```sh",
+        f"cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example",
+        "```",
+        "",
         f"`{name}.h` is the contract: functions, sizes, indices with units. To write this folder "
-        "again:", "", "```python", "import rbsd_sym as rs",
-        "rs.export_c(rs.compile_scene(scene), folder)", "```", "",
-        "## Functions", "", "| function | result | instructions |", "|---|---|---|",
-    ]  # fmt: skip
+        "again:",
+        "",
+        "```python",
+        "import rbsd_sym as rs",
+        "rs.export_c(rs.compile_scene(scene), folder)",
+        "```",
+        "",
+        "## Functions",
+        "",
+        "| function | result | instructions |",
+        "|---|---|---|",
+    ]
     for f in functions:
         size = f"{f.rows} x {f.columns}, {f.numbers} nonzeros" if f.sparse else f"{f.numbers}"
         cost = "mapped kernels" if model.kernels else f.kernel.n_instructions()
@@ -58,11 +73,15 @@ def _events(model: Model) -> list[str]:
     if not model.events:
         return []
     return [
-        "", "## Events", "", "Each fires as its entry of `zero` falls through zero; then its "
+        "",
+        "## Events",
+        "",
+        "Each fires as its entry of `zero` falls through zero; then its "
         "column of `jump` is added to the states, and the algebraic unknowns solve `alg` again. "
-        "Those that happen at once do so in this order.", "",
+        "Those that happen at once do so in this order.",
+        "",
         *(f"{i}. `{name}`" for i, name in enumerate(model.events)),
-    ]  # fmt: skip
+    ]
 
 
 def _rows(labels: tuple[Label, ...]) -> list[str]:

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import casadi as ca
 
-from ..assembly import with_jacobian
-from ..model import Model
-from . import names
+from ..model.assembly import with_jacobian
+from ..model.model import Model
+from . import c_names as names
 from .load import OPTIMISED, build
 from .loops import assembles, stub, with_loops
 

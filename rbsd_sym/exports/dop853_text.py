@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..tableau import E3, E5, A, C, D
+from ..base.tableau import E3, E5, A, C, D
 
 
 def explicit_parts() -> dict[str, str]:
@@ -15,10 +15,11 @@ def explicit_parts() -> dict[str, str]:
     dense = [f"      const double f{j + 3} = h * ({_sum(row)});" for j, row in enumerate(D)]
     return {
         "STAGES": "\n".join([*stages, *end]),
-        "ERROR_5": _sum(E5), "ERROR_3": _sum(E3),
+        "ERROR_5": _sum(E5),
+        "ERROR_3": _sum(E3),
         "EXTENDED": "\n".join("    " + line for part in extended for line in part.split("\n")),
         "DENSE": "\n".join(dense),
-    }  # fmt: skip
+    }
 
 
 def tangent_parts() -> dict[str, str]:
@@ -28,8 +29,9 @@ def tangent_parts() -> dict[str, str]:
 
 
 def _sum(row: np.ndarray) -> str:
-    terms = [f"{'-' if v < 0 else '+'} {abs(float(v))!r} * k[{j}][i]"
-             for j, v in enumerate(row) if v]  # fmt: skip
+    terms = [
+        f"{'-' if v < 0 else '+'} {abs(float(v))!r} * k[{j}][i]" for j, v in enumerate(row) if v
+    ]
     text = " ".join(terms)
     return text[2:] if text.startswith("+") else text
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..model import Model
-from . import names
+from ..model.model import Model
+from . import c_names as names
 from .header import Exported, banner
 
 
@@ -14,10 +14,14 @@ def example_text(model: Model, functions: list[Exported]) -> str:
     lines = [
         banner(model, "example.c: the rates and their Jacobian at the start"),
         f"/* Build and run: cc -std=c99 example.c {name}.c -lm -o example && ./example */",
-        "#include <stdio.h>", f'#include "{name}.h"', "", "int main(void)", "{",
+        "#include <stdio.h>",
+        f'#include "{name}.h"',
+        "",
+        "int main(void)",
+        "{",
         *(f"  double {kind}[{n}] = {{0}};" for kind, n in size.items()),
         f"  {name}_defaults(x, z, u, p);",
-    ]  # fmt: skip
+    ]
     for key in ("ode", "dode_dx"):
         if key in there:
             lines += _print(name, there[key])

@@ -8,17 +8,19 @@ from typing import NamedTuple
 import casadi as ca
 
 from .. import version
-from ..model import Model
-from ..parts import Label
-from . import names
+from ..dae.members import Label
+from ..model.model import Model
+from . import c_names as names
 
 _SIGNATURE = "double t, const double *x, const double *z, const double *u, const double *p"
 _WORDS = {
-    "ode": "Rates of the states", "alg": "Algebraic residuals", "out": "Outputs",
+    "ode": "Rates of the states",
+    "alg": "Algebraic residuals",
+    "out": "Outputs",
     "zero": "Functions of the events, which fire as they fall through zero",
     "jump": "Change of the states by each event, a column each",
     "post_newton": "Largest error, smallest recommended step or -1, states with new data",
-}  # fmt: skip
+}
 _GIVEN = {"l": "multipliers l (", "v": "direction v in [x; z; u; p] ("}
 
 
@@ -74,14 +76,23 @@ def header_text(model: Model, functions: list[Exported]) -> str:
     dae = model.dae
     lines = [
         banner(model, f"{name}.h: x' = ode(t, x, z, u, p), 0 = alg, y = out"),
-        f"#ifndef {guard}", f"#define {guard}", "",
-        "#ifdef __cplusplus", 'extern "C" {', "#endif", "",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
+        "",
         f'#define {names.constant(name, "DIGEST")} "{model.digest}"',
-        f"#define {names.constant(name, 'ABI')} {version.ABI}", "",
+        f"#define {names.constant(name, 'ABI')} {version.ABI}",
+        "",
         "/* Sizes. */",
-        *enum_lines((names.constant(name, f"N_{kind.upper()}"), getattr(dae, kind).numel(), "")
-               for kind in ("x", "z", "u", "p", "out")), "",
-    ]  # fmt: skip
+        *enum_lines(
+            (names.constant(name, f"N_{kind.upper()}"), getattr(dae, kind).numel(), "")
+            for kind in ("x", "z", "u", "p", "out")
+        ),
+        "",
+    ]
     if model.events:
         events = tuple(Label(event, "") for event in model.events)
         lines += enum_lines([(names.constant(name, "N_EVENTS"), len(events), "")])
@@ -97,10 +108,12 @@ def header_text(model: Model, functions: list[Exported]) -> str:
     lines += [
         "/* Every function returns 0 on success. Arguments: time t (s), states x, algebraic",
         " * unknowns z, inputs u, parameters p; an array of size 0 may be NULL. No allocation, no",
-        " * mutable globals: calls from several threads are safe. */", "",
+        " * mutable globals: calls from several threads are safe. */",
+        "",
         "/* Start and default values; a NULL is skipped. */",
-        f"{defaults_signature(name)};", "",
-    ]  # fmt: skip
+        f"{defaults_signature(name)};",
+        "",
+    ]
     for f in functions:
         lines += _declaration(model, f)
     lines += ["#ifdef __cplusplus", "}", "#endif", "", f"#endif /* {guard} */", ""]
@@ -137,11 +150,7 @@ def index_lines(model: str, kind: str, title: str, labels: tuple[Label, ...]) ->
 def _declaration(model: Model, f: Exported) -> list[str]:
     n = names.constant(model.name, f.name, "NNZ")
     if not f.sparse:
-        return [
-            f"/* {_words(f)}: {f.numbers} numbers. */",
-            f"{signature(model.name, f)};",
-            "",
-        ]
+        return [f"/* {_words(f)}: {f.numbers} numbers. */", f"{signature(model.name, f)};", ""]
     symbol = names.function(model.name, f.name)
     return [
         f"/* {_words(f)}: the {f.numbers} nonzeros of a {f.rows} x {f.columns} matrix, column "
@@ -151,8 +160,9 @@ def _declaration(model: Model, f: Exported) -> list[str]:
         f"enum {{ {n} = {f.numbers} }};",
         f"{signature(model.name, f)};",
         f"const int *{symbol}_colind(void);",
-        f"const int *{symbol}_row(void);", "",
-    ]  # fmt: skip
+        f"const int *{symbol}_row(void);",
+        "",
+    ]
 
 
 def _words(f: Exported) -> str:

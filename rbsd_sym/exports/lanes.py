@@ -12,22 +12,51 @@ from collections.abc import Iterable
 import casadi as ca
 
 _INFIX = {
-    ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2. * {0}",
-    ca.OP_INV: "1. / {0}", ca.OP_ASSIGN: "{0}",
-    ca.OP_LT: "LANES_TEST({0} < {1})", ca.OP_LE: "LANES_TEST({0} <= {1})",
-    ca.OP_EQ: "LANES_TEST({0} == {1})", ca.OP_NE: "LANES_TEST({0} != {1})",
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "2. * {0}",
+    ca.OP_INV: "1. / {0}",
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_LT: "LANES_TEST({0} < {1})",
+    ca.OP_LE: "LANES_TEST({0} <= {1})",
+    ca.OP_EQ: "LANES_TEST({0} == {1})",
+    ca.OP_NE: "LANES_TEST({0} != {1})",
     ca.OP_AND: "LANES_TEST(({0} != 0) & ({1} != 0))",
-    ca.OP_OR: "LANES_TEST(({0} != 0) | ({1} != 0))", ca.OP_NOT: "LANES_TEST({0} == 0)",
+    ca.OP_OR: "LANES_TEST(({0} != 0) | ({1} != 0))",
+    ca.OP_NOT: "LANES_TEST({0} == 0)",
     ca.OP_SIGN: "LANES_TEST({0} > 0) - LANES_TEST({0} < 0)",
     ca.OP_IF_ELSE_ZERO: "LANES_IF({0}, {1})",
-}  # fmt: skip
+}
 _OF_ONE = {
-    getattr(ca, f"OP_{name.upper()}"): name for name in (
-        "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh",
-        "acosh", "atanh", "exp", "log", "log1p", "expm1", "fabs", "floor", "ceil", "erf",
+    getattr(ca, f"OP_{name.upper()}"): name
+    for name in (
+        "sqrt",
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "sinh",
+        "cosh",
+        "tanh",
+        "asinh",
+        "acosh",
+        "atanh",
+        "exp",
+        "log",
+        "log1p",
+        "expm1",
+        "fabs",
+        "floor",
+        "ceil",
+        "erf",
     )
-}  # fmt: skip
+}
 _OF_TWO = {
     getattr(ca, f"OP_{name.upper()}"): name
     for name in ("atan2", "pow", "fmin", "fmax", "fmod", "copysign", "hypot", "remainder")
@@ -61,11 +90,13 @@ def kernel_text(function: ca.Function, name: str) -> str:
     numbers = [f"w{k}" for k in range(count)]
     taken = ", ".join(f"const lanes *{a}" for a in letters)
     lines = [
-        f"LANES_KERNEL void {name}({taken}, lanes *out)", "{",
+        f"LANES_KERNEL void {name}({taken}, lanes *out)",
+        "{",
         *(f"  lanes {', '.join(numbers[i : i + 20])};" for i in range(0, count, 20)),
         *(f"  {_line(function, k)}" for k in range(function.n_instructions())),
-        f"  {', '.join(f'(void){a}' for a in letters)};", "}",
-    ]  # fmt: skip
+        f"  {', '.join(f'(void){a}' for a in letters)};",
+        "}",
+    ]
     return "\n".join(lines)
 
 

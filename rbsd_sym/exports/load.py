@@ -16,9 +16,9 @@ from pathlib import Path
 import casadi as ca
 
 from .. import version
-from ..model import Model
-from . import names
-from .files import Artefact, read_manifest, sha256
+from ..model.model import Model
+from . import c_names as names
+from .folder import Artefact, read_manifest, sha256
 
 OPTIMISED = ("-O2",)
 _KINDS = {  # of a folder, by its manifest: in a sentence, what loads it, what writes it

@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from ..assembly import Assembled, Piece
-from ..model import Model
-from .files import template
+from ..model.assembly import Assembled, Piece
+from ..model.model import Model
+from .folder import template
 from .lanes import functions_text, kernel_text
 
 _ARGUMENTS = "const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem"
@@ -85,13 +85,14 @@ def _call_loops(text: str, symbol: str) -> str:
 def _loops(model: Model, symbol: str, parts: Assembled, kernels: Sequence[str]) -> str:
     n, sizes = parts.pattern.nnz(), _sizes(model)[1:]
     lines = [
-        f"static int {symbol}_loops({_ARGUMENTS})", "{",
+        f"static int {symbol}_loops({_ARGUMENTS})",
+        "{",
         "  casadi_real *out = res[0];",
         *_stacked(sizes),
         *(["  const casadi_real *given = arg[5];", "  (void)given;"] if parts.letter else []),
         "  if (!out) return 0;",
         f"  for (int i = 0; i < {n}; ++i) out[i] = 0;",
-    ]  # fmt: skip
+    ]
     for kernel, piece in zip(kernels, parts.pieces, strict=True):
         lines += _loop(kernel, piece)
     return "\n".join([*lines, "  return 0;", "}", ""])
@@ -118,9 +119,11 @@ def _loop(kernel: str, piece: Piece) -> list[str]:
     """All instances of a kernel, LANES at once; beyond the last one it stands in for the rest."""
     m, count = piece.places.shape
     tables, before, arguments = [_table("int", "places", piece.places)], [], ["&time"]
-    groups = (("int", "reads", piece.reads, "LANES_READ"),
-              ("casadi_real", "constants", piece.constants, "LANES_CONSTANT"),
-              ("int", "weights", piece.given, "LANES_GIVEN"))  # fmt: skip
+    groups = (
+        ("int", "reads", piece.reads, "LANES_READ"),
+        ("casadi_real", "constants", piece.constants, "LANES_CONSTANT"),
+        ("int", "weights", piece.given, "LANES_GIVEN"),
+    )
     for kind, name, values, way in groups:
         if values is None:
             continue
@@ -130,15 +133,18 @@ def _loop(kernel: str, piece: Piece) -> list[str]:
         n = values.shape[0]
         tables.append(_table(kind, name, values))
         before += [
-            f"lanes {name}_of[{n}];", "{",
+            f"lanes {name}_of[{n}];",
+            "{",
             f"  const {kind} *from[LANES];",
             "  for (int l = 0; l < LANES; ++l)",
             f"    from[l] = {name} + (i + l < {count} ? i + l : {count - 1}) * {n};",
-            f"  for (int j = 0; j < {n}; ++j) {name}_of[j] = (lanes)EACH({way});", "}",
-        ]  # fmt: skip
+            f"  for (int j = 0; j < {n}; ++j) {name}_of[j] = (lanes)EACH({way});",
+            "}",
+        ]
     test = "if (place >= 0) " if (piece.places < 0).any() else ""
     return [
-        "  {", *(f"    {table}" for table in tables),
+        "  {",
+        *(f"    {table}" for table in tables),
         f"    for (int i = 0; i < {count}; i += LANES) {{",
         f"      lanes values[{m}];",
         *(f"      {line}" for line in before),
@@ -147,8 +153,10 @@ def _loop(kernel: str, piece: Piece) -> list[str]:
         f"        for (int j = 0; j < {m}; ++j) {{",
         f"          const int place = places[(i + l) * {m} + j];",
         f"          {test}out[place] += LANE(values[j], l);",
-        "        }", "    }", "  }",
-    ]  # fmt: skip
+        "        }",
+        "    }",
+        "  }",
+    ]
 
 
 def _table(kind: str, name: str, values: np.ndarray) -> str:

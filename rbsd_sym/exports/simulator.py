@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import casadi as ca
 
-from ..model import Model
+from ..model.model import Model
 from .c import call_lines, manifest_text
 from .dop853_text import explicit_parts, tangent_parts
-from .files import MANIFEST, Artefact, template, write_folder
+from .folder import MANIFEST, Artefact, template, write_folder
 from .loops import assembles, stub, with_loops
 from .simulator_casadi import casadi_text
 from .simulator_texts import (
@@ -68,9 +68,10 @@ def export_simulator(
     _check(model, integrator, sensitivities)
     name = simulator_name(model)
     source = (
-        casadi_text(model, integrator) if integrator.plugin
+        casadi_text(model, integrator)
+        if integrator.plugin
         else _explicit(model, integrator, sensitivities)
-    )  # fmt: skip
+    )
     texts = {
         f"{name}.h": header_text(model, integrator, sensitivities),
         f"{name}.c": source,
@@ -78,10 +79,14 @@ def export_simulator(
         "README.md": card_text(model, integrator, sensitivities),
     }
     more = {
-        "kind": SIMULATOR, "functions": {}, "method": type(integrator).__name__,
-        "rtol": integrator.rtol, "atol": integrator.atol, "sensitivities": sensitivities,
+        "kind": SIMULATOR,
+        "functions": {},
+        "method": type(integrator).__name__,
+        "rtol": integrator.rtol,
+        "atol": integrator.atol,
+        "sensitivities": sensitivities,
         "moves": bool(ca.symvar(model.dae.x_start)),
-    }  # fmt: skip
+    }
     more |= {"events": list(model.events)} if model.events else {}
     texts[MANIFEST] = manifest_text(model, texts, ("x", "z", "u", "p", "idle_p"), more)
     target = Path(folder)
@@ -105,9 +110,12 @@ def _check(model: Model, integrator: Exportable, sensitivities: bool) -> None:
         what = "post_newton_step" if model.dae.updates else "events"
         raise ValueError(
             f"model '{model.name}': {what}, which {kind} does not have in C; "
-            + ("use GeneralizedAlpha().step_function(model)" if model.dae.updates
-               else "give Rosenbrock() or ExplicitRK()")
-        )  # fmt: skip
+            + (
+                "use GeneralizedAlpha().step_function(model)"
+                if model.dae.updates
+                else "give Rosenbrock() or ExplicitRK()"
+            )
+        )
     if not model.n_x:
         raise ValueError(f"model '{model.name}': no states, so there is nothing to integrate")
     if sensitivities and integrator.plugin:

@@ -7,11 +7,11 @@ from typing import Any
 
 import casadi as ca
 
-from ..casadi_events import INSTANT, NEVER, RECORD, add_events, begin, n_extra, tidy
-from ..casadi_events import integrator as with_events
-from ..model import Model
-from . import names
-from .files import template
+from ..model.casadi_events import INSTANT, NEVER, RECORD, add_events, begin, n_extra, tidy
+from ..model.casadi_events import integrator as with_events
+from ..model.model import Model
+from . import c_names as names
+from .folder import template
 from .simulator_texts import simulator_file, simulator_marks
 
 
@@ -26,8 +26,14 @@ def casadi_text(model: Model, integrator: Any) -> str:
         q, [0, model.n_p, model.n_p + model.n_u, model.n_p + 2 * model.n_u, n_q]
     )
     arguments = (more[0] + s * more[1], tidy(model, x), z, first + s * (last - first), p)
-    dae = {"t": s, "x": x, "z": z, "p": q, "ode": more[1] * model.function("ode")(*arguments),
-           "alg": model.function("alg")(*arguments)}  # fmt: skip
+    dae = {
+        "t": s,
+        "x": x,
+        "z": z,
+        "p": q,
+        "ode": more[1] * model.function("ode")(*arguments),
+        "alg": model.function("alg")(*arguments),
+    }
     options = dict(integrator.casadi_options) | {"reltol": 1e-6, "abstol": 1e-8}
     name = f"{model.name}_sim_run"
     if model.events:
@@ -50,9 +56,14 @@ def _event_marks(model: Model, text: str) -> dict[str, Any]:
     """Marks of the templates that differ for a model with events."""
     upper, extra = names.constant(model.name, "sim"), n_extra(model) if model.events else 0
     marks: dict[str, Any] = {
-        "name": model.name, "NAME": upper, "N_X": model.n_x, "N_Z": model.n_z, "N_E": extra,
-        "FIRST_Z": model.n_x + extra, "N_I": model.n_x + extra + model.n_z,
-    }  # fmt: skip
+        "name": model.name,
+        "NAME": upper,
+        "N_X": model.n_x,
+        "N_Z": model.n_z,
+        "N_E": extra,
+        "FIRST_Z": model.n_x + extra,
+        "N_I": model.n_x + extra + model.n_z,
+    }
     idle = dict.fromkeys(("BEGIN", "WATCH", "TELL", "KEEP", "INSTANT", "DUE", "MANY"), "")
     if not model.events:
         return marks | idle
@@ -63,9 +74,11 @@ def _event_marks(model: Model, text: str) -> dict[str, Any]:
         "\n",
         "INSTANT": f"  more[5] = {INSTANT!r} * (run->t1 - run->t0);\n",
         "MANY": f"    if (report[6]) return {upper}_ENDLESS_EVENTS;\n",
-        **{key: template(f"simulator_{key.lower()}.c", marks)
-           for key in ("BEGIN", "WATCH", "TELL", "DUE")},
-    }  # fmt: skip
+        **{
+            key: template(f"simulator_{key.lower()}.c", marks)
+            for key in ("BEGIN", "WATCH", "TELL", "DUE")
+        },
+    }
 
 
 def _sizes(text: str, function: str, mark: str) -> dict[str, str]:

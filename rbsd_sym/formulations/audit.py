@@ -6,9 +6,9 @@ import warnings
 
 import numpy as np
 
-from ..checks import at_default
-from ..elements import RigidBodySpringDamper
-from ..scene import Scene
+from ..base.checks import at_default
+from ..scene.elements import RigidBodySpringDamper
+from ..scene.scene import Scene
 
 _SOFT = 1e-2  # an axis softer than this, relative to the two others, is a hinge
 

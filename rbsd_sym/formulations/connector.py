@@ -9,17 +9,12 @@ from typing import Any
 
 import casadi as ca
 
-from ..elements import GROUND, RigidBodySpringDamper
-from ..parts import Event, Hold, Label, Part, Update
-from ..sensors import CONNECTOR_QUANTITIES, CONNECTOR_TANGENTS, Quantity, effect_force
-from ..symbols import TIME, to_expr
-from .columns import (
-    axes_without_inertia,
-    compliance_column,
-    has_mass,
-    marker_column,
-)
+from ..base.symbols import TIME, to_expr
+from ..dae.members import Hold, Label, Part, Transition, Update
+from ..mechanics.quantities import CONNECTOR_QUANTITIES, CONNECTOR_TANGENTS, Quantity, effect_force
+from ..scene.elements import GROUND, RigidBodySpringDamper
 from .layout import Layout
+from .pack import axes_without_inertia, compliance_column, has_mass, marker_column
 from .reaction import Kind, Reaction
 
 
@@ -73,8 +68,9 @@ class ConnectorWriter:
         """What can be asked of it: what every connector has, and the force of each effect."""
         forces = [
             effect_force(i, effect.label, "N m" if effect.axis > 2 else "N")
-            for i, effect in enumerate(self._effects) if not effect.whole
-        ]  # fmt: skip
+            for i, effect in enumerate(self._effects)
+            if not effect.whole
+        ]
         return [*CONNECTOR_QUANTITIES, *CONNECTOR_TANGENTS, *forces]
 
     @cached_property
@@ -86,9 +82,12 @@ class ConnectorWriter:
         )
         structures = tuple(effect.structure for effect in self._effects)
         return Kind(
-            self.connector.law, (places[0], places[1]), self.layout.scene.traced[self.index],
-            structures, len(self.connector.data) if self.connector.acts else 0,
-        )  # fmt: skip
+            self.connector.law,
+            (places[0], places[1]),
+            self.layout.scene.traced[self.index],
+            structures,
+            len(self.connector.data) if self.connector.acts else 0,
+        )
 
     @property
     def _effects(self) -> tuple[Any, ...]:
@@ -100,9 +99,11 @@ class ConnectorWriter:
         connector, bodies = self.connector, [self.layout.scene.bodies[i] for i in self.carriers]
         columns = []
         for m, place, joint in zip(
-            (connector.marker0, connector.marker1), self.kind.places,
-            (connector.rotation_marker0, connector.rotation_marker1), strict=True,
-        ):  # fmt: skip
+            (connector.marker0, connector.marker1),
+            self.kind.places,
+            (connector.rotation_marker0, connector.rotation_marker1),
+            strict=True,
+        ):
             columns.append(marker_column(m, None if place is None else bodies[place], joint))
         acting = 1.0 if connector.active else 0.0
         columns += [
@@ -168,20 +169,20 @@ class ConnectorWriter:
                     "smoothing"
                 )
 
-    def events(self) -> list[Event]:
+    def events(self) -> list[Transition]:
         """The events of its effects, in order, then those of the user."""
         name, found = self.connector.name, []
         for k, (i, change) in enumerate(self.reaction.changes()):
             kernel = self._kept(("event", k), partial(self.reaction.change, i, change))
             label = f"{name}.{self._effects[i].label}_{change.name}"
-            found.append(Event(label, kernel, *self._place, self._changes, change.at_once))
+            found.append(Transition(label, kernel, *self._place, self._changes, change.at_once))
         traced = self.kind.functions.events
         for event in traced.events if traced else ():
             first = event.first
             kernel = self._kept(("user event", first), partial(self.reaction.user_event, first))
             label = f"{name}.{event.name}"
             found.append(
-                Event(label, kernel, *self._place, self._changes, event.at_once, event.stops)
+                Transition(label, kernel, *self._place, self._changes, event.at_once, event.stops)
             )
         names = [event.name.removeprefix(f"{name}.") for event in found]
         if len(set(names)) < len(names):

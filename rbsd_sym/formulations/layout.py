@@ -10,13 +10,13 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from ..elements import GROUND, Marker, RigidBody
-from ..mechanics import Body, body_motion
-from ..parts import Balance, Label, Motion, Turn
-from ..rotation import quat_exp, quat_matrix, quat_product
-from ..scene import Scene
-from ..symbols import TIME, to_expr
-from .columns import axes_without_inertia, has_mass, rotation_pair
+from ..base.rotation import quat_exp, quat_matrix, quat_product
+from ..base.symbols import TIME, to_expr
+from ..dae.members import Balance, Kinematics, Label, Rotation
+from ..mechanics.motion import Body, body_motion
+from ..scene.elements import GROUND, Marker, RigidBody
+from ..scene.scene import Scene
+from .pack import axes_without_inertia, has_mass, rotation_pair
 
 
 class Coordinates(Protocol):
@@ -99,12 +99,12 @@ class Layout:
         """Rows of the unknown forces of a connector in z."""
         return tuple(range(*self._unknown[connector]))
 
-    def turns(self) -> tuple[Turn, ...]:
+    def rotations(self) -> tuple[Rotation, ...]:
         """The quaternions among the states, if the coordinates are quaternions."""
         if not self.coordinates.quaternion:
             return ()
         return tuple(
-            Turn(body.name, self.rows(i)[3:7], self.rows(i)[10:13])  # type: ignore[arg-type]
+            Rotation(body.name, self.rows(i)[3:7], self.rows(i)[10:13])  # type: ignore[arg-type]
             for i, body in enumerate(self.scene.bodies)
         )
 
@@ -113,15 +113,15 @@ class Layout:
         r, w = ca.SX.sym("r", len(self.coordinates.labels)), ca.SX.sym("w", 3)
         return ca.Function("kinematics", [r, w], [self.coordinates.rate(r, w)])
 
-    def motions(self, index: int) -> list[Motion]:
+    def motions(self, index: int) -> list[Kinematics]:
         """The three translations and the rotation of a body."""
         body, rows = self.scene.bodies[index], self.rows(index)
         v = rows[-6:-3]
         moves = [
-            Motion(f"{body.name}.{axis}", rows[i : i + 1], v[i : i + 1], _ADDED)
+            Kinematics(f"{body.name}.{axis}", rows[i : i + 1], v[i : i + 1], _ADDED)
             for i, axis in enumerate("xyz")
         ]
-        return [*moves, Motion(f"{body.name}.rotation", rows[3:-6], rows[-3:], self._retract)]
+        return [*moves, Kinematics(f"{body.name}.rotation", rows[3:-6], rows[-3:], self._retract)]
 
     @cached_property
     def _retract(self) -> ca.Function:
@@ -175,7 +175,7 @@ class Layout:
         return [x[i : i + self.size] for i in range(0, x.numel(), self.size)]
 
     def body(self, x: ca.SX) -> Body:
-        """Motion of a body from its own states."""
+        """Kinematics of a body from its own states."""
         n = len(self.coordinates.labels)
         R_WB, q_WB = self.coordinates.orientation(x[3 : 3 + n])
         return body_motion(x[:3], R_WB, q_WB, x[3 + n : 6 + n], x[6 + n : 9 + n])

@@ -12,15 +12,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..checks import at_default
-from ..dae import Dae
-from ..elements import GROUND, Load, RigidBody
-from ..mechanics import Wrench, gyroscopic, torque_on_body
-from ..parts import Label, Part
-from ..scene import Scene
-from ..symbols import TIME, Leaf, default_values, to_expr
+from ..base.checks import at_default
+from ..base.symbols import TIME, Leaf, default_values, to_expr
+from ..dae.dae import Dae
+from ..dae.members import Label, Part
+from ..mechanics.motion import Wrench, gyroscopic, torque_on_body
+from ..scene.elements import GROUND, Load, RigidBody
+from ..scene.scene import Scene
 from .audit import audit
-from .columns import (
+from .connector import ConnectorWriter
+from .layout import Coordinates, Layout, accelerations, kernel
+from .outputs import OutputWriter
+from .pack import (
     COMPLIANCE,
     INERTIA,
     MARKER,
@@ -31,9 +34,6 @@ from .columns import (
     marker_column,
     marker_of,
 )
-from .connector import ConnectorWriter
-from .layout import Coordinates, Layout, accelerations, kernel
-from .outputs import OutputWriter
 
 
 def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
@@ -70,7 +70,7 @@ def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
         requested=writer.requested(outputs),
         only_requested=bool(scene.outputs),
         notes=audit(scene),
-        turns=layout.turns(),
+        rotations=layout.rotations(),
         balances=tuple(b for i in range(len(scene.bodies)) for b in layout.balances(i)),
         motions=tuple(m for i in range(len(scene.bodies)) for m in layout.motions(i)),
         events=tuple(event for writer in acting for event in writer.events()),
@@ -104,10 +104,16 @@ def _bodies(layout: Layout) -> list[Part]:
     function = kernel("body", x, c, rates, ca.SX(0, 1))
     gravity, none = to_expr(layout.scene.gravity), ca.SX(3, 1)
     return [
-        Part(body.name, function, layout.rows(i), (),
-             ca.vertcat(inertia_column(body), gravity if has_mass(body) else none), layout.rows(i))
+        Part(
+            body.name,
+            function,
+            layout.rows(i),
+            (),
+            ca.vertcat(inertia_column(body), gravity if has_mass(body) else none),
+            layout.rows(i),
+        )
         for i, body in enumerate(layout.scene.bodies)
-    ]  # fmt: skip
+    ]
 
 
 def _loads(layout: Layout) -> list[Part]:
@@ -120,9 +126,11 @@ def _load_part(layout: Layout, load: Load, function: ca.Function) -> Part:
     i = layout.index(load.marker.body)
     body = layout.scene.bodies[i]
     constants = ca.vertcat(
-        marker_column(load.marker, body), compliance_column(body), to_expr(load.force),
+        marker_column(load.marker, body),
+        compliance_column(body),
+        to_expr(load.force),
         to_expr(load.torque),
-    )  # fmt: skip
+    )
     return Part(load.name, function, layout.rows(i), (), constants, layout.velocity_rows(i))
 
 

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from ..parts import Output
-from ..sensors import (
+from ..base.symbols import to_expr
+from ..dae.members import Output
+from ..mechanics.quantities import (
     BODY_QUANTITIES,
     CONNECTOR_TANGENTS,
     SCENE_QUANTITIES,
     BodyView,
     Quantity,
 )
-from ..symbols import to_expr
-from .columns import BODY, body_column
 from .connector import ConnectorWriter
 from .layout import Layout, kernel
+from .pack import BODY, body_column
 
 _ALL_UP_TO = 10  # bodies and connectors; beyond it outputs are asked for by name
 
@@ -36,9 +36,12 @@ class OutputWriter:
         outputs: dict[str, Output] = {}
 
         def add(
-            owner: str, q: Quantity, reads: tuple[int, ...], build: Callable,
+            owner: str,
+            q: Quantity,
+            reads: tuple[int, ...],
+            build: Callable,
             reads_z: tuple[int, ...] = (),
-        ) -> None:  # fmt: skip
+        ) -> None:
             name = f"{owner}.{q.name}" if owner else q.name
             outputs[name] = Output(name, q.unit, q.components, q.shape, build, reads, reads_z)
 
@@ -80,9 +83,10 @@ class OutputWriter:
             idle = {c.name for c in scene.connectors if not c.active}
             asked = {q.name for q in CONNECTOR_TANGENTS}
             return tuple(
-                name for name in outputs
+                name
+                for name in outputs
                 if small and name.split(".")[0] not in idle and name.split(".")[-1] not in asked
-            )  # fmt: skip
+            )
         for name in scene.outputs:
             if name not in outputs:
                 owner = str(name).split(".")[0]

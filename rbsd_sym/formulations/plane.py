@@ -15,12 +15,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..checks import at_default, is_symbolic
-from ..elements import GROUND
-from ..rotation import quat_product
-from ..scene import Scene
-from .columns import rotation_pair
+from ..base.checks import at_default, is_symbolic
+from ..base.rotation import quat_product
+from ..scene.elements import GROUND
+from ..scene.scene import Scene
 from .layout import Layout
+from .pack import rotation_pair
 from .rewrite import (
     EYE,
     Axes,

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ..dae import Dae
-from ..rotation import quat_matrix, quat_rate
-from ..scene import Scene
+from ..base.rotation import quat_matrix, quat_rate
+from ..dae.dae import Dae
+from ..scene.scene import Scene
 from . import newton_euler
 
 

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from ..base.symbols import TIME
 from ..laws import Effect, Law, Relative, Response, SpringDamper, respond
 from ..laws.effect import Change
-from ..mechanics import (
+from ..mechanics.motion import (
     Body,
     MarkerOnBody,
     Motion,
@@ -23,11 +24,10 @@ from ..mechanics import (
     seen_from_first,
     torque_on_body,
 )
-from ..scene import Functions
-from ..sensors import ConnectorView, Quantity
-from ..symbols import TIME
-from .columns import COMPLIANCE, MARKER, marker_of
+from ..mechanics.quantities import ConnectorView, Quantity
+from ..scene.scene import Functions
 from .layout import Layout, accelerations, kernel
+from .pack import COMPLIANCE, MARKER, marker_of
 
 _NUMBERS = 84  # K (36), D (36), offset (6), velocity_offset (6)
 
@@ -147,10 +147,17 @@ class Reaction:
         if force is not None:
             user = lambda *given: force.function(*given, self._leaves("force"))  # noqa: E731
         numbers = SpringDamper(
-            ca.reshape(c[k : k + 36], 6, 6), ca.reshape(c[k + 36 : k + 72], 6, 6),
-            c[k + 72 : k + 78], c[k + 78 : k + 84], user, self._bound(), self.own, self.z,
-            kind.n_data, self._gives,
-        )  # fmt: skip
+            ca.reshape(c[k : k + 36], 6, 6),
+            ca.reshape(c[k + 36 : k + 72], 6, 6),
+            c[k + 72 : k + 78],
+            c[k + 78 : k + 84],
+            user,
+            self._bound(),
+            self.own,
+            self.z,
+            kind.n_data,
+            self._gives,
+        )
         answer = partial(respond, kind.law, numbers, TIME.expr)
         return _Sight(answer(*motions), answer, markers, motions, bodies)
 
@@ -185,13 +192,17 @@ class Reaction:
         """How much the rate along an axis falls for a unit impulse."""
         unit = ca.SX(6, 1)
         unit[axis] = 1
-        return -ca.jtimes(relative.rate[axis], self.x, self._on_velocities(
-            self._impulse(unit, relative)))  # fmt: skip
+        return -ca.jtimes(
+            relative.rate[axis], self.x, self._on_velocities(self._impulse(unit, relative))
+        )
 
     def _on_velocities(self, change: ca.SX) -> ca.SX:
         """A change of velocities as one of all of x."""
-        parts = [part for body in ca.vertsplit(change, 6)
-                 for part in (ca.SX.zeros(self.layout.size - 6), body)]  # fmt: skip
+        parts = [
+            part
+            for body in ca.vertsplit(change, 6)
+            for part in (ca.SX.zeros(self.layout.size - 6), body)
+        ]
         return ca.vertcat(*parts, ca.SX.zeros(self.n_own)) if change.numel() else 0 * self.x
 
     def rates(self) -> ca.Function:
@@ -206,9 +217,13 @@ class Reaction:
         rates = self.accelerate(sight, (response.wrench0, response.wrench1), R_WE)
         equations = (answer.equation for answer in response.answers)
         return kernel(
-            "connector", self.x, self.c, ca.vertcat(rates, self._own_rates(response)),
-            ca.vertcat(ca.SX(0, 1), *equations), z=self.z,
-        )  # fmt: skip
+            "connector",
+            self.x,
+            self.c,
+            ca.vertcat(rates, self._own_rates(response)),
+            ca.vertcat(ca.SX(0, 1), *equations),
+            z=self.z,
+        )
 
     def _own_rates(self, response: Response) -> ca.SX:
         return ca.vertcat(ca.SX.zeros(self.kind.n_data), *(a.rates for a in response.answers))

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..checks import at_default, is_symbolic
-from ..elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
-from ..symbols import Scalar, leaves_of, to_expr
-from .columns import rotation_pair
+from ..base.checks import at_default, is_symbolic
+from ..base.symbols import Scalar, leaves_of, to_expr
+from ..scene.elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
+from .pack import rotation_pair
 
 ROUNDING = 16 * float(np.finfo(float).eps)  # of a few products of rotations and vectors
 EYE = np.eye(3)
@@ -160,9 +160,7 @@ def connector_in(
     Joint frames oblique to all axes of N are turned to be parallel, with K, D and offsets, where
     the law allows it.
     """
-    frames = [
-        (getattr(c, f"marker{i}"), getattr(c, f"rotation_marker{i}")) for i in "01"
-    ]  # fmt: skip
+    frames = [(getattr(c, f"marker{i}"), getattr(c, f"rotation_marker{i}")) for i in "01"]
     if not any(is_symbolic(m.rotation) or is_symbolic(joint) for m, joint in frames):
         frames = [
             (replace(m, rotation=matrix_at_start(m.rotation) @ matrix_at_start(joint)), EYE)
@@ -181,9 +179,13 @@ def connector_in(
     if (Q != EYE).any():  # users are told rotJ0 and rotJ1 in world axes
         changes |= {name: _turning(user, Q) for name, user in users.items() if user}
     return replace(
-        c, marker0=marker0, rotation_marker0=joint0, marker1=marker1, rotation_marker1=joint1,
+        c,
+        marker0=marker0,
+        rotation_marker0=joint0,
+        marker1=marker1,
+        rotation_marker1=joint1,
         **changes,
-    )  # fmt: skip
+    )
 
 
 def _turning(user: Any, Q: np.ndarray) -> Any:

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ..dae import Dae
-from ..rotation import matrix_xyz, xyz_matrix, xyz_quat, xyz_rate
-from ..scene import Scene
+from ..base.rotation import matrix_xyz, xyz_matrix, xyz_quat, xyz_rate
+from ..dae.dae import Dae
+from ..scene.scene import Scene
 from . import newton_euler
 
 

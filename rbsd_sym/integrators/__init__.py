@@ -10,6 +10,12 @@ from .rk4 import RK4
 from .rosenbrock import Rosenbrock
 
 __all__ = [
-    "RK4", "Collocation", "Dop853", "ExplicitRK", "GeneralizedAlpha", "Idas", "PostNewton",
+    "RK4",
+    "Collocation",
+    "Dop853",
+    "ExplicitRK",
+    "GeneralizedAlpha",
+    "Idas",
+    "PostNewton",
     "Rosenbrock",
-]  # fmt: skip
+]

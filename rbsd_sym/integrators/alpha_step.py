@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from ..dae import Dae
-from ..model import Model
-from ..parts import Motion, pick
+from ..dae.dae import Dae
+from ..dae.members import Kinematics, pick
+from ..model.model import Model
 
 ITERATIONS = 12  # of Newton's method; where it converges it needs 2 to 5
 _LITTLE = 0.03  # of 1 + |value|
@@ -112,12 +112,12 @@ class Tangent:
         live: positions among the coordinates, and rows of x.
     """
 
-    motion: Motion
+    motion: Kinematics
     parts: tuple[Moved | None, ...]
     live: tuple[tuple[int, int], ...]
 
 
-class Layout:
+class Groups:
     """What a step moves, and how, from the kinematics of a `Dae`.
 
     - A velocity that is a state, with a live coordinate: second order.
@@ -142,7 +142,7 @@ class Layout:
         """Row of x of a full state."""
         return self.dae.expansion.rows[row] if self.dae.expansion else row
 
-    def _tangent(self, motion: Motion) -> Tangent | None:
+    def _tangent(self, motion: Kinematics) -> Tangent | None:
         dae = self.dae
         places = [self._place(row) for row in motion.coordinates]
         live = tuple((i, place) for i, place in enumerate(places) if place is not None)
@@ -202,7 +202,7 @@ def rates_function(model: Model) -> ca.Function:
     """(t, x, z, u, p) -> the rate kept with each row of x, which a start needs."""
     key = "generalized_alpha rates"
     if key not in model.memo:
-        layout = Layout(model.dae)
+        layout = Groups(model.dae)
         symbols = _symbols(model, t=1, x=model.n_x, z=model.n_z, u=model.n_u, p=model.n_p)
         rates, place = layout.rates(model, *symbols), {row: i for i, row in enumerate(layout.slots)}
         rows = [place.get(row, len(place)) for row in range(model.n_x)]
@@ -242,12 +242,20 @@ class _Step:
     """
 
     def __init__(self, model: Model, rho: float) -> None:
-        self.model, self.dae, self.layout = model, model.dae, Layout(model.dae)
+        self.model, self.dae, self.layout = model, model.dae, Groups(model.dae)
         self.second, self.first = second_order(rho), first_order(rho)
         n, dae = model.n_x, model.dae
         self.n_y = len(self.layout.moved) + model.n_z + 1
-        self.sizes = {"t0": 1, "h": 1, "x0": n, "rate0": n, "a0": n, "z0": model.n_z,
-                      "u1": model.n_u, "p": model.n_p}  # fmt: skip
+        self.sizes = {
+            "t0": 1,
+            "h": 1,
+            "x0": n,
+            "rate0": n,
+            "a0": n,
+            "z0": model.n_z,
+            "u1": model.n_u,
+            "p": model.n_p,
+        }
         own = [ca.SX.sym(name, k) for name, k in (("y", self.n_y), ("h", 1), ("r", n), ("a", n))]
         self.y, self.h, self.rate0, self.a0 = own
         self.arguments = [self.y, self.h, dae.x, self.rate0, self.a0, dae.z, dae.p]
@@ -258,8 +266,12 @@ class _Step:
         """The whole step: guess, Newton's method, and what follows from its result."""
         end = ca.Function("end", self.arguments, self._end(), {"cse": True})
         residual, derivative = self._equations(end)
-        options = {"abstol": 0, "abstolStep": tolerance, "max_iter": ITERATIONS,
-                   "error_on_fail": False}  # fmt: skip
+        options = {
+            "abstol": 0,
+            "abstolStep": tolerance,
+            "max_iter": ITERATIONS,
+            "error_on_fail": False,
+        }
         if derivative:
             options["jacobian_function"] = derivative
         newton = ca.rootfinder("newton", "fast_newton", residual, options)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..model import Model
-from ..trajectory import Experiment, Outcome
-from .events import Point, Watch
+from ..model.model import Model
+from ..model.trajectory import Experiment, Outcome
+from .events import Instant, Watch
 from .post_newton import PostNewton, advice
 
 _SMALLEST = 1e-6  # of the step asked for: what a post-Newton step may cut it to
@@ -31,7 +31,7 @@ class Switch:
         self.model, self.experiment, self.attempt, self.post = model, experiment, attempt, post
         self.watch, self.wish, self.smallest = Watch(model, experiment), np.inf, step * _SMALLEST
         self._data = list(model.dae.data)
-        self._point: Point | None = None
+        self._point: Instant | None = None
 
     def begin(self, t: float, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States and unknowns at the start, after what happens there."""
@@ -64,7 +64,7 @@ class Switch:
                 return new, None
         return new, None
 
-    def after(self, s: Any, new: Any) -> Point | None:
+    def after(self, s: Any, new: Any) -> Instant | None:
         """The point after the first event on the way, or with data that changed at its end."""
         if not self.model.events:
             changed = bool(self.model.dae.updates) and (new.x != s.x)[self._data].any()

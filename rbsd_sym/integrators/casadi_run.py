@@ -11,8 +11,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .. import casadi_events
-from ..casadi_events import (
+from ..model import casadi_events
+from ..model.casadi_events import (
     CLOSE,
     CROWD,
     LEAST,
@@ -23,8 +23,9 @@ from ..casadi_events import (
     recorded,
     tidy,
 )
-from ..model import Model
-from ..trajectory import Experiment, Outcome, Trajectory
+from ..model.model import Model
+from ..model.signals import is_constant, raise_of_user
+from ..model.trajectory import Experiment, Outcome, Trajectory
 from .driver import (
     Run,
     Verdict,
@@ -35,16 +36,19 @@ from .driver import (
     failure_report,
     settle,
 )
-from .events import End, Watch, guarded
-from .signals import is_constant, raise_of_user
+from .events import SegmentEnd, Watch, guarded
 
 _BEYOND = 1e-6  # of the run and the rate: so far below zero no event is late, but missed
 
 
 def run_with_events(
-    model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any],
-    judge: Callable[[Run], Verdict], count: Mapping[str, str],
-) -> Trajectory:  # fmt: skip
+    model: Model,
+    experiment: Experiment,
+    plugin: str,
+    options: Mapping[str, Any],
+    judge: Callable[[Run], Verdict],
+    count: Mapping[str, str],
+) -> Trajectory:
     """Integrate with a CasADi plugin and its events; arguments as of `driver.run`.
 
     By functions of the model's own: the search of events wants derivatives that compiled ones lack.
@@ -56,10 +60,18 @@ def run_with_events(
     experiment = found
     started, watch = time.perf_counter(), Watch(model, experiment)
     begun = guarded(lambda: watch.begin(float(experiment.t[0]), experiment.x, experiment.z))
-    if isinstance(begun, End):
+    if isinstance(begun, SegmentEnd):
         x, z = experiment.x[None, :], experiment.z[None, :]
-        return assemble(model, experiment, x, z, begun.outcome or Outcome.solver_failed,
-                        begun.report, {}, watch.happened)  # fmt: skip
+        return assemble(
+            model,
+            experiment,
+            x,
+            z,
+            begun.outcome or Outcome.solver_failed,
+            begun.report,
+            {},
+            watch.happened,
+        )
     experiment = replace(experiment, x=begun.x, z=begun.z)
     kept: list[Any] = []
     integrator = _integrator(model, experiment, plugin, options, watch.instant, kept)
@@ -86,9 +98,13 @@ def _reached(result: Run) -> int:
 
 
 def _integrator(
-    model: Model, e: Experiment, plugin: str, options: Mapping[str, Any], instant: float,
+    model: Model,
+    e: Experiment,
+    plugin: str,
+    options: Mapping[str, Any],
+    instant: float,
     kept: list[Any],
-) -> ca.Function:  # fmt: skip
+) -> ca.Function:
     """The integrator Function, kept with the model as in `driver`."""
     fixed = all(is_constant(s) for s in e.inputs)
     key = ("events", plugin, repr(sorted(options.items())), e.t.tobytes())
@@ -136,9 +152,13 @@ def _longest(e: Experiment) -> float:
 
 
 def _trajectory(
-    watch: Watch, result: Run, judge: Callable[[Run], Verdict], stats: dict[str, float | str],
-    record: Recorded, armed: np.ndarray,
-) -> Trajectory:  # fmt: skip
+    watch: Watch,
+    result: Run,
+    judge: Callable[[Run], Verdict],
+    stats: dict[str, float | str],
+    record: Recorded,
+    armed: np.ndarray,
+) -> Trajectory:
     model, e = watch.model, watch.experiment
     n, last = _reached(result), min(record.t_stop, record.t_endless)
     if last <= e.t[n - 1]:
@@ -166,8 +186,9 @@ def _trajectory(
     if not result.failed and n == len(e.t):
         outcome = Outcome.reached_end
         return assemble(model, e, x, z, outcome, outcome.value, stats, record.events)
-    endless = re.search(r"more than max_events = (\d+) events, the last at t = (\S+)",
-                        result.messages)  # fmt: skip
+    endless = re.search(
+        r"more than max_events = (\d+) events, the last at t = (\S+)", result.messages
+    )
     if endless:
         outcome, stats["t_failed"] = Outcome.endless_events, float(endless[2])
         report = f"{outcome.value}: {endless[1]} events up to t = {endless[2]} s"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..model import Model
-from ..trajectory import Experiment, Outcome, Trajectory
-from .checks import check_fixed_step, elements_of, refuse_events
+from ..model.model import Model
+from ..model.trajectory import Experiment, Outcome, Trajectory
 from .driver import Run, Verdict, run
+from .options import check_fixed_step, elements_of, refuse_events
 
 _MOST_STAGES = 9  # CasADi has tables of collocation points up to here
 # Newton's last correction in SI units: below it, rounding in stiff joints (1e6 N/m on coordinates
@@ -49,10 +49,12 @@ class Collocation:
         refuse_events(model, type(self).__name__)
         options = {
             "number_of_finite_elements": elements_of(experiment, self.step),
-            "interpolation_order": self.degree, "collocation_scheme": self.scheme,
-            "simplify": False, "rootfinder": "fast_newton",
+            "interpolation_order": self.degree,
+            "collocation_scheme": self.scheme,
+            "simplify": False,
+            "rootfinder": "fast_newton",
             "rootfinder_options": {"abstol": 0, "abstolStep": _NEWTON, "max_iter": 50},
-        }  # fmt: skip
+        }
         return run(model, experiment, "collocation", options, _judge, {})
 
 

@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..model import Model
-from ..tableau import E3, E5, A, C, D
-from ..trajectory import Experiment, Outcome, Trajectory
-from .checks import check_options, refuse_unknowns, refuse_updates
+from ..base.tableau import E3, E5, A, C, D
+from ..model.model import Model
+from ..model.signals import is_constant
+from ..model.trajectory import Experiment, Outcome, Trajectory
 from .driver import assemble, failure_report, input_values
-from .events import End, Point, Watch, guarded
-from .signals import is_constant
+from .events import Instant, SegmentEnd, Watch, guarded
+from .options import check_options, refuse_unknowns, refuse_updates
 
 _NONE = np.zeros(0)  # no algebraic unknowns
 _LOOKS = 4  # for events, in a step
@@ -66,25 +66,27 @@ class Dop853:
         refuse_unknowns(model)
         refuse_updates(model, type(self).__name__)
         started = time.perf_counter()
-        rates, run = _Rates(model, experiment), _Run(experiment, Watch(model, experiment))
+        rates, run = _Rates(model, experiment), _PairRun(experiment, Watch(model, experiment))
         with np.errstate(over="ignore", invalid="ignore"):
             end = guarded(lambda: self._integrate(rates, run) if model.n_x else Outcome.reached_end)
-        outcome = (end.outcome or Outcome.solver_failed) if isinstance(end, End) else end
+        outcome = (end.outcome or Outcome.solver_failed) if isinstance(end, SegmentEnd) else end
         stats = {
-            "steps": float(run.steps), "evaluations": float(rates.count),
-            "rejected_steps": float(run.rejected), "events": float(len(run.watch.happened)),
+            "steps": float(run.steps),
+            "evaluations": float(rates.count),
+            "rejected_steps": float(run.rejected),
+            "events": float(len(run.watch.happened)),
             "time": time.perf_counter() - started,
-        }  # fmt: skip
+        }
         n, report = run.saved if model.n_x else len(experiment.t), outcome.value
         x, z = run.x[:n], np.zeros((n, 0))
-        if isinstance(end, End):
+        if isinstance(end, SegmentEnd):
             stats["t_failed"], report = end.t, end.report
         elif not outcome.ok:
             stats["t_failed"] = run.t
             report = failure_report(model, experiment, x, z, outcome, run.t, _ADVICE[outcome])
         return assemble(model, experiment, x, z, outcome, report, stats, run.watch.happened)
 
-    def _integrate(self, rates: _Rates, run: _Run) -> Outcome:
+    def _integrate(self, rates: _Rates, run: _PairRun) -> Outcome:
         k, x, end = run.k, run.begin(), run.end
         shortest = 16 * _EPSILON * max(abs(run.t), abs(end))
         k[0] = rates(run.t, x)
@@ -134,7 +136,7 @@ class Dop853:
         worst = float((h * e5 * r5 / (root * scale)).max())
         return worst if np.isfinite(y).all() else float("nan")
 
-    def _first_step(self, rates: _Rates, run: _Run, x: np.ndarray) -> float:
+    def _first_step(self, rates: _Rates, run: _PairRun, x: np.ndarray) -> float:
         """From the sizes of x, x' and x'' [Hairer, Norsett, Wanner 1993, sec. II.4]."""
         span, scale = run.end - run.t, self.atol + self.rtol * np.abs(x)
         d0, d1 = (float((np.abs(v) / scale).max()) for v in (x, run.k[0]))
@@ -177,7 +179,7 @@ class _Rates:
         return self._rates
 
 
-class _Run:
+class _PairRun:
     """Where the integration is, the points saved so far, and the events on the way."""
 
     def __init__(self, experiment: Experiment, watch: Watch) -> None:
@@ -234,7 +236,7 @@ class _Run:
         self.t = t
         return None
 
-    def _first_event(self, within: _Interpolant, t: float) -> Point | None:
+    def _first_event(self, within: _Interpolant, t: float) -> Instant | None:
         start = self.t
         for k in range(1, _LOOKS + 1):
             time = t if k == _LOOKS else start + (t - start) * k / _LOOKS
@@ -256,9 +258,15 @@ class _Interpolant:
     """The solution within a step, of order 7; it takes three more rates between its ends."""
 
     def __init__(
-        self, rates: _Rates, k: np.ndarray, t: float, h: float, x: np.ndarray, y: np.ndarray,
+        self,
+        rates: _Rates,
+        k: np.ndarray,
+        t: float,
+        h: float,
+        x: np.ndarray,
+        y: np.ndarray,
         end: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._rates, self._k, self._t, self._h, self._x, self._y = rates, k, t, h, x, y
         self._end = end
         self._parts: list[np.ndarray] = []

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..casadi_events import tidy
-from ..model import Model
-from ..trajectory import Column, Experiment, Outcome, Samples, Signal, Trajectory
-from .signals import evaluate, is_constant, raise_of_user, symbolic
+from ..model.casadi_events import tidy
+from ..model.model import Model
+from ..model.signals import evaluate, is_constant, raise_of_user, symbolic
+from ..model.trajectory import Column, Experiment, Outcome, Samples, Signal, Trajectory
 
 _OUTPUT = threading.Lock()  # redirection is for the whole process
 _ROUNDS = 3  # of Newton's method at saved points, from values good to the tolerance
@@ -42,10 +42,14 @@ class Verdict(NamedTuple):
 
 
 def run(
-    model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any],
-    judge: Callable[[Run], Verdict], count: Mapping[str, str],
+    model: Model,
+    experiment: Experiment,
+    plugin: str,
+    options: Mapping[str, Any],
+    judge: Callable[[Run], Verdict],
+    count: Mapping[str, str],
     with_rates: Callable[[list[float]], Mapping[str, Any]] | None = None,
-) -> Trajectory:  # fmt: skip
+) -> Trajectory:
     """Integrate with a CasADi plugin.
 
     Arguments:
@@ -124,8 +128,9 @@ def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dic
     p = ca.vertcat(dae.p, *constant)
     all_traced = all(e is not None or is_constant(s) for s, e in zip(inputs, traced, strict=True))
     if all_traced and not model.calls:
-        u = ca.vertcat(ca.SX(0, 1), *(
-            dae.u[i] if expr is None else expr for i, expr in enumerate(traced)))  # fmt: skip
+        u = ca.vertcat(
+            ca.SX(0, 1), *(dae.u[i] if expr is None else expr for i, expr in enumerate(traced))
+        )
         given = [dae.u, dae.x], [u, tidy(model, dae.x)]
         ode, alg = ca.substitute([dae.ode, dae.alg], *given)
         return {"t": dae.t, "x": dae.x, "z": dae.z, "p": p, "ode": ode, "alg": alg, "u": u}
@@ -142,18 +147,30 @@ def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dic
             entries.append(evaluate(signal, t, kept))
     u = ca.vertcat(*entries)
     arguments = (t, tidy(model, x), z, u, q[: model.n_p])
-    return {"t": t, "x": x, "z": z, "p": q, "ode": model.function("ode")(*arguments),
-            "alg": model.function("alg")(*arguments), "u": u}  # fmt: skip
+    return {
+        "t": t,
+        "x": x,
+        "z": z,
+        "p": q,
+        "ode": model.function("ode")(*arguments),
+        "alg": model.function("alg")(*arguments),
+        "u": u,
+    }
 
 
 def call_integrator(integrator: ca.Function, experiment: Experiment) -> Run:
     """Call through buffers, which CasADi fills row by row: a failure keeps what came before."""
     n = len(experiment.t) - 1
     constant = [float(s) for s in experiment.inputs if is_constant(s)]  # type: ignore[arg-type]
-    arguments = {"x0": experiment.x, "z0": experiment.z,
-                 "p": np.concatenate([experiment.p, np.array(constant)])}  # fmt: skip
-    results = {"xf": np.full((n, experiment.x.size), np.nan),
-               "zf": np.full((n, experiment.z.size), np.nan)}  # fmt: skip
+    arguments = {
+        "x0": experiment.x,
+        "z0": experiment.z,
+        "p": np.concatenate([experiment.p, np.array(constant)]),
+    }
+    results = {
+        "xf": np.full((n, experiment.x.size), np.nan),
+        "zf": np.full((n, experiment.z.size), np.nan),
+    }
     buffer, evaluate_buffer = integrator.buffer()
     kept = {key: np.ascontiguousarray(value, float) for key, value in arguments.items()}
     for key, value in kept.items():
@@ -176,14 +193,24 @@ def call_integrator(integrator: ca.Function, experiment: Experiment) -> Run:
 
 
 def _trajectory(
-    model: Model, experiment: Experiment, result: Run, judge: Callable[[Run], Verdict],
+    model: Model,
+    experiment: Experiment,
+    result: Run,
+    judge: Callable[[Run], Verdict],
     stats: dict[str, float | str],
-) -> Trajectory:  # fmt: skip
+) -> Trajectory:
     finite = np.isfinite(result.x).all(axis=1) & np.isfinite(result.z).all(axis=1)
     n = int(np.argmin(finite)) if not finite.all() else len(finite)
     if not result.failed and n == len(finite):
-        return assemble(model, experiment, result.x, result.z, Outcome.reached_end,
-                        Outcome.reached_end.value, stats)  # fmt: skip
+        return assemble(
+            model,
+            experiment,
+            result.x,
+            result.z,
+            Outcome.reached_end,
+            Outcome.reached_end.value,
+            stats,
+        )
     if result.failed:
         verdict = judge(result)
     else:
@@ -200,9 +227,14 @@ def _trajectory(
 
 
 def failure_report(
-    model: Model, e: Experiment, x: np.ndarray, z: np.ndarray, outcome: Outcome,
-    t_fail: float | None, advice: str,
-) -> str:  # fmt: skip
+    model: Model,
+    e: Experiment,
+    x: np.ndarray,
+    z: np.ndarray,
+    outcome: Outcome,
+    t_fail: float | None,
+    advice: str,
+) -> str:
     """The full sentence about a run that failed: where, what state, what to do."""
     t_last = float(e.t[max(len(x), 1) - 1])
     at = f"after t = {t_last:.9g} s" if t_fail is None else f"at t = {t_fail:.9g} s"
@@ -233,9 +265,15 @@ def input_values(inputs: tuple[Signal, ...], t: np.ndarray) -> np.ndarray:
 
 
 def assemble(
-    model: Model, experiment: Experiment, x: np.ndarray, z: np.ndarray, outcome: Outcome,
-    report: str, stats: Mapping[str, float | str], events: Sequence[tuple[float, str]] = (),
-) -> Trajectory:  # fmt: skip
+    model: Model,
+    experiment: Experiment,
+    x: np.ndarray,
+    z: np.ndarray,
+    outcome: Outcome,
+    report: str,
+    stats: Mapping[str, float | str],
+    events: Sequence[tuple[float, str]] = (),
+) -> Trajectory:
     """A `Trajectory` from its states (n, n_x) and (n, n_z), and what happened at which time."""
     dae, t = model.dae, experiment.t[: len(x)]
     columns = {label.name: Column(x[:, i], label.unit) for i, label in enumerate(dae.x_labels)}
@@ -247,9 +285,19 @@ def assemble(
     labels = (*dae.p_labels, *dae.idle_p_labels)
     parameters = {label.name: float(v) for label, v in zip(labels, values, strict=True)}
     return Trajectory(
-        model.name, t, columns, outcome, report, stats, parameters, states, model.digest,
-        model.measure_all, model.left_out, tuple((float(t), name) for t, name in events),
-    )  # fmt: skip
+        model.name,
+        t,
+        columns,
+        outcome,
+        report,
+        stats,
+        parameters,
+        states,
+        model.digest,
+        model.measure_all,
+        model.left_out,
+        tuple((float(t), name) for t, name in events),
+    )
 
 
 def consistent_start(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
@@ -301,10 +349,14 @@ def _quasi_static(model: Model, e: Experiment, started: float) -> Trajectory:
             break
         z.append(value)
     end = Outcome.reached_end if len(z) == len(e.t) else Outcome.solver_failed
-    report = end.value if end.ok else (
-        f"no balance found at t = {e.t[len(z)]:.9g} s, near the one before; give closer times, or "
-        "inertia, if it jumps there"
-    )  # fmt: skip
+    report = (
+        end.value
+        if end.ok
+        else (
+            f"no balance found at t = {e.t[len(z)]:.9g} s, near the one before; give closer times, "
+            "or inertia, if it jumps there"
+        )
+    )
     stats = {"time": time.perf_counter() - started}
     return assemble(model, e, np.zeros((len(z), 0)), np.array(z), end, report, stats)
 

@@ -26,11 +26,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..casadi_events import BAND, CLOSE, CROWD, INSTANT, Happened
-from ..model import Model
-from ..trajectory import Experiment, Outcome
+from ..model.casadi_events import BAND, CLOSE, CROWD, INSTANT, Happened
+from ..model.model import Model
+from ..model.signals import is_constant
+from ..model.trajectory import Experiment, Outcome
 from .driver import input_values
-from .signals import is_constant
 
 _CROWDS = ((CROWD, CLOSE), (30, 1e-6), (1000, 1e-4))  # instants, and their share of a run
 SEARCHED = (*_CROWDS, (200, 1e-3))  # of changes of data
@@ -41,7 +41,7 @@ _DEPTH = 6  # halvings in search of a crossing that the ends do not show
 _REFINED = 150  # looks in search of one crossing
 
 
-class Point(NamedTuple):
+class Instant(NamedTuple):
     """A state of the run, and there the functions of the events and their rates."""
 
     t: float
@@ -62,7 +62,7 @@ class EventsDoNotEnd(Exception):
 class Stopped(Exception):
     """An event that ends the run, and the point after it."""
 
-    def __init__(self, point: Point, name: str) -> None:
+    def __init__(self, point: Instant, name: str) -> None:
         self.point, self.name = point, name
 
 
@@ -80,40 +80,40 @@ class Lost(Exception):
         self.t = t
 
 
-class End(NamedTuple):
+class SegmentEnd(NamedTuple):
     """How a walk ended: no outcome but a failed run if IDAS failed; the last point, if known."""
 
     outcome: Outcome | None
     t: float
     report: str = ""
     failed: Any = None
-    point: Point | None = None
+    point: Instant | None = None
 
 
 def guarded(go: Callable[[], Any]) -> Any:
-    """What `go` returns, or the `End` that an event makes of it."""
+    """What `go` returns, or the `SegmentEnd` that an event makes of it."""
     try:
         return go()
     except EventsDoNotEnd as endless:
         outcome = Outcome.endless_events
-        return End(outcome, endless.t, f"{outcome.value}: {endless.report}")
+        return SegmentEnd(outcome, endless.t, f"{outcome.value}: {endless.report}")
     except Stopped as stopped:
         t, outcome = stopped.point.t, Outcome.event
         report = f"{outcome.value} '{stopped.name}' at t = {t:.9g} s"
-        return End(outcome, t, report, point=stopped.point)
+        return SegmentEnd(outcome, t, report, point=stopped.point)
     except Inconsistent as lost:
         outcome = Outcome.not_consistent
-        return End(outcome, lost.t, f"{outcome.value} after an event at t = {lost.t:.9g} s")
+        return SegmentEnd(outcome, lost.t, f"{outcome.value} after an event at t = {lost.t:.9g} s")
     except Lost as lost:
         outcome = Outcome.solver_failed
         report = (
             f"{outcome.value} in search of an event before t = {lost.t:.9g} s; tighten the "
             "tolerances, or look for a singularity there"
         )
-        return End(outcome, lost.t, report)
+        return SegmentEnd(outcome, lost.t, report)
 
 
-Advance = Callable[[Point, float], tuple[np.ndarray, np.ndarray] | None]
+Advance = Callable[[Instant, float], tuple[np.ndarray, np.ndarray] | None]
 """(point, t) -> x, z at the later time t, or None if that fails."""
 
 
@@ -149,11 +149,11 @@ class Watch:
         self._floor = np.zeros(len(events))
         self._functions = tuple(self.model.function(f) for f in ("zero", "zero_rate", "jump"))
 
-    def look(self, t: float, x: np.ndarray, z: np.ndarray) -> Point:
+    def look(self, t: float, x: np.ndarray, z: np.ndarray) -> Instant:
         """The point with its functions and rates."""
         return self.look_at(np.array([t]), x[None, :], z[None, :])[0]
 
-    def look_at(self, t: np.ndarray, x: np.ndarray, z: np.ndarray) -> list[Point]:
+    def look_at(self, t: np.ndarray, x: np.ndarray, z: np.ndarray) -> list[Instant]:
         """Points at times (n,), states (n, n_x) and unknowns (n, n_z)."""
         if not t.size:
             return []
@@ -164,7 +164,7 @@ class Watch:
         if self._driven:
             rate = rate + self._by_inputs(t, x, z, u, p)
         rate = np.where(np.isfinite(rate), rate, 0.0)
-        return [Point(float(t[k]), x[k], z[k], zero[k], rate[k]) for k in range(len(t))]
+        return [Instant(float(t[k]), x[k], z[k], zero[k], rate[k]) for k in range(len(t))]
 
     def _by_inputs(
         self, t: np.ndarray, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray
@@ -177,7 +177,7 @@ class Watch:
         slope = slope.reshape(len(self.armed), len(t), len(u))
         return np.einsum("eku,uk->ke", slope, moves)
 
-    def begin(self, t: float, x: np.ndarray, z: np.ndarray) -> Point:
+    def begin(self, t: float, x: np.ndarray, z: np.ndarray) -> Instant:
         """The first point, after what fires there at once.
 
         Raises:
@@ -187,11 +187,13 @@ class Watch:
         self.armed = self.at_once | self._above(point)
         return self._cascade(point, [])
 
-    def pass_on(self, point: Point) -> None:
+    def pass_on(self, point: Instant) -> None:
         """Take note of functions that have come above zero."""
         self.armed |= point.zero > 0
 
-    def search(self, a: Point, b: Point, advance: Advance, depth: int = _DEPTH) -> Point | None:
+    def search(
+        self, a: Instant, b: Instant, advance: Advance, depth: int = _DEPTH
+    ) -> Instant | None:
         """The point of the first event between two points, if there is one.
 
         Raises:
@@ -207,7 +209,7 @@ class Watch:
         found = self.search(a, middle, advance, depth - 1)
         return found if found is not None else self.search(middle, b, advance, depth - 1)
 
-    def reach(self, a: Point, t: float, advance: Advance) -> Point:
+    def reach(self, a: Instant, t: float, advance: Advance) -> Instant:
         """The point at a time.
 
         Raises:
@@ -218,11 +220,11 @@ class Watch:
             raise Lost(t)
         return self.look(t, *state)
 
-    def crossing(self, b: Point) -> bool:
+    def crossing(self, b: Instant) -> bool:
         """Whether an event has fired before a point, as far as it shows."""
         return bool((self.armed & (b.zero < -self._floor)).any())
 
-    def hidden(self, a: Point, b: Point) -> float | None:
+    def hidden(self, a: Instant, b: Instant) -> float | None:
         """A time between at which a function may have crossed zero and come back, if any.
 
         That of the extremum of a cubic which lies on the other side of both ends.
@@ -238,7 +240,7 @@ class Watch:
                 return a.t + s * (b.t - a.t)
         return None
 
-    def locate(self, a: Point, b: Point, advance: Advance) -> Point:
+    def locate(self, a: Instant, b: Instant, advance: Advance) -> Instant:
         """The first point at which an armed event has crossed, to an instant.
 
         [a, b] holds a crossing. The roots of cubics close in on it, halvings where they do not.
@@ -265,7 +267,7 @@ class Watch:
             slow = slow + 1 if right.t - left.t > width / 2 else 0
         return right
 
-    def fire(self, point: Point) -> Point:
+    def fire(self, point: Instant) -> Instant:
         """What happens at a point that `locate` has found.
 
         Raises:
@@ -294,7 +296,7 @@ class Watch:
                 how = f"the last {count} within {recent[-1] - recent[0]:.3g} s"
                 raise self._endless(t, how)
 
-    def _cascade(self, point: Point, due: list[int]) -> Point:
+    def _cascade(self, point: Instant, due: list[int]) -> Instant:
         """Fire what is due, in order, until nothing is."""
         for _ in range(_AT_ONCE):
             due = due or list(np.flatnonzero(self._due(point)))
@@ -308,7 +310,7 @@ class Watch:
         number = len(self.happened) or len(self._instants)
         return EventsDoNotEnd(t, f"{number} events up to t = {t:.9g} s, {how}{last}")
 
-    def _fired(self, point: Point, i: int) -> Point:
+    def _fired(self, point: Instant, i: int) -> Instant:
         t, x = point.t, point.x
         u, p = self.inputs(t), self.experiment.p
         jump = np.array(self._functions[2](t, x, point.z, u, p)[:, i]).reshape(-1)
@@ -328,16 +330,16 @@ class Watch:
             raise Stopped(after, self.model.events[i])
         return after
 
-    def _width(self, point: Point) -> np.ndarray:
+    def _width(self, point: Instant) -> np.ndarray:
         """What counts as zero: some instants of its motion, and the rounding at its last event."""
         return np.maximum(BAND * self.instant * np.abs(point.rate), 2 * self._floor)
 
-    def _above(self, point: Point) -> np.ndarray:
+    def _above(self, point: Instant) -> np.ndarray:
         """Events whose function is above zero, or on it and not about to fall."""
         width = self._width(point)
         return (point.zero > width) | ((point.zero >= -width) & (point.rate >= 0))
 
-    def _due(self, point: Point) -> np.ndarray:
+    def _due(self, point: Instant) -> np.ndarray:
         """Armed events that fire now."""
         width = self._width(point)
         falls = (np.abs(point.zero) <= width) & (point.rate < 0)
@@ -348,14 +350,14 @@ class Watch:
         return input_values(self.experiment.inputs, np.array([t]))[:, 0]
 
 
-def _coefficients(a: Point, b: Point, i: int) -> tuple[float, float, float, float]:
+def _coefficients(a: Instant, b: Instant, i: int) -> tuple[float, float, float, float]:
     """The cubic through two values with two rates, over s = 0 ... 1."""
     h = b.t - a.t
     f0, f1, d0, d1 = a.zero[i], b.zero[i], h * a.rate[i], h * b.rate[i]
     return f0, d0, 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
 
 
-def _extremum(a: Point, b: Point, i: int) -> float | None:
+def _extremum(a: Instant, b: Instant, i: int) -> float | None:
     """Where the cubic has crossed zero and comes back, if it does."""
     c = _coefficients(a, b, i)
     slope = np.roots([3 * c[3], 2 * c[2], c[1]])
@@ -365,7 +367,7 @@ def _extremum(a: Point, b: Point, i: int) -> float | None:
     return None
 
 
-def _first_root(a: Point, b: Point, armed: np.ndarray, floor: np.ndarray) -> float:
+def _first_root(a: Instant, b: Instant, armed: np.ndarray, floor: np.ndarray) -> float:
     """The earliest time at which the cubic of a crossing function falls below -floor."""
     first = 1.0
     for i in np.flatnonzero(armed & (b.zero < -floor)):

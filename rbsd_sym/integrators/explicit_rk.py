@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from ..model import Model
-from ..trajectory import Experiment, Trajectory
+from ..model.model import Model
+from ..model.trajectory import Experiment, Trajectory
 from .casadi_run import run_with_events
-from .checks import (
+from .driver import run
+from .options import (
     check_options,
     judge_runge_kutta,
     refuse_unknowns,
     refuse_updates,
     runge_kutta_options,
 )
-from .driver import run
 
 
 @dataclass(frozen=True)

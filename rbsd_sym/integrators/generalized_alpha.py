@@ -11,14 +11,14 @@ from typing import ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..model import Model
-from ..trajectory import Experiment, Outcome, Trajectory
-from .alpha_step import Layout, first_order, rates_function, second_order, step_function
+from ..model.model import Model
+from ..model.signals import is_constant
+from ..model.trajectory import Experiment, Outcome, Trajectory
+from .alpha_step import Groups, first_order, rates_function, second_order, step_function
 from .alpha_switch import Switch
 from .driver import assemble, failure_report, input_values, not_consistent
-from .events import End, guarded
+from .events import SegmentEnd, guarded
 from .post_newton import PostNewton
-from .signals import is_constant
 
 _EPSILON = float(np.finfo(float).eps)
 _SLACK = 1e-6  # by how much of itself a step may be longer than asked for, to fit an interval
@@ -199,7 +199,7 @@ class GeneralizedAlpha:
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
         """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""
         started = time.perf_counter()
-        run = _Run(experiment, self.step)
+        run = _AlphaRun(experiment, self.step)
         if model.n_x + model.n_z == 0:  # nothing in the scene can move
             end = Outcome.reached_end
             return assemble(model, experiment, run.x, run.z, end, end.value, {"time": 0.0})
@@ -208,18 +208,20 @@ class GeneralizedAlpha:
         switch = Switch(model, experiment, stepper.try_step, self.post_newton, self.step)
         with np.errstate(over="ignore", invalid="ignore"):
             end = guarded(lambda: self._integrate(stepper, run, switch))
-        outcome = (end.outcome or Outcome.solver_failed) if isinstance(end, End) else end
+        outcome = (end.outcome or Outcome.solver_failed) if isinstance(end, SegmentEnd) else end
         if outcome is Outcome.not_consistent:
             return not_consistent(model, experiment)
         stats = {
-            "steps": float(run.steps), "rejected_steps": float(run.rejected),
+            "steps": float(run.steps),
+            "rejected_steps": float(run.rejected),
             "newton_iterations": float(stepper.iterations),
             "events": float(len(switch.watch.happened)),
-            "time": time.perf_counter() - built, "time_build": built - started,
-        }  # fmt: skip
+            "time": time.perf_counter() - built,
+            "time_build": built - started,
+        }
         n, report = max(run.saved, 1), outcome.value  # the start is kept, whatever it is
         x, z = run.x[:n], run.z[:n]
-        if isinstance(end, End):
+        if isinstance(end, SegmentEnd):
             stats["t_failed"], report = end.t, end.report
         elif not outcome.ok:
             stats["t_failed"] = run.t
@@ -227,7 +229,7 @@ class GeneralizedAlpha:
         happened = switch.watch.happened
         return assemble(model, experiment, x, z, outcome, report, stats, happened)
 
-    def _integrate(self, stepper: Stepper, run: _Run, switch: Switch) -> Outcome:
+    def _integrate(self, stepper: Stepper, run: _AlphaRun, switch: Switch) -> Outcome:
         start = stepper.start(run.t, run.x[0], run.z[0])
         if isinstance(start, State) and stepper.model.events:
             start = stepper.start(run.t, *switch.begin(run.t, start.x, start.z))
@@ -257,9 +259,14 @@ class GeneralizedAlpha:
         return _Errors(model, self.spectral_radius, self.rtol, self.atol)
 
     def _step(
-        self, stepper: Stepper, run: _Run, s: State, target: float, errors: _Errors | None,
+        self,
+        stepper: Stepper,
+        run: _AlphaRun,
+        s: State,
+        target: float,
+        errors: _Errors | None,
         switch: Switch,
-    ) -> State | Outcome:  # fmt: skip
+    ) -> State | Outcome:
         """The next state on the way to an output time, or the old one after a step rejected."""
         left = target - s.t - s.lag
         parts = max(1, math.ceil(left / run.wish - _SLACK))
@@ -303,7 +310,7 @@ def _report(
     return failure_report(model, e, x, z, outcome, t, _ADVICE[outcome])
 
 
-class _Run:
+class _AlphaRun:
     """Where the integration is, the points saved so far, and the step it would like to take."""
 
     def __init__(self, experiment: Experiment, step: float) -> None:
@@ -332,7 +339,7 @@ class _Errors:
     """Local errors relative to the tolerances: of coordinates and of states of first order."""
 
     def __init__(self, model: Model, rho: float, rtol: float, atol: float) -> None:
-        moved = Layout(model.dae).moved
+        moved = Groups(model.dae).moved
         second, first = second_order(rho), first_order(rho)
         constants = [
             second.error_of_position if p.second else (second if p.with_velocity else first).error

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ..model import Model
-from ..trajectory import Experiment, Outcome, Trajectory
-from .checks import check_options
+from ..model.model import Model
+from ..model.trajectory import Experiment, Outcome, Trajectory
 from .driver import Run, Verdict, consistent, input_values, run
-from .events import Point
+from .events import Instant
+from .options import check_options
 from .post_newton import PostNewton
 from .windows import Walk, follow
 
@@ -24,27 +24,36 @@ _FLOOR = 1e-15  # of rtol; below it IDAS refuses, for want of digits
 
 _REASONS = {
     "IDA_TOO_MUCH_WORK": (
-        Outcome.too_many_steps, "raise max_steps, loosen the tolerances, or for undamped stiff "
+        Outcome.too_many_steps,
+        "raise max_steps, loosen the tolerances, or for undamped stiff "
         "connectors lower max_order to 2",
     ),
     "IDA_ERR_FAIL": (
-        Outcome.step_too_small, "look for a singularity there (Tait-Bryan pitch at 90 degrees, "
+        Outcome.step_too_small,
+        "look for a singularity there (Tait-Bryan pitch at 90 degrees, "
         "rotation by pi), or loosen the tolerances; below 1e-10 rounding alone may stop IDAS",
     ),
     "IDA_CONV_FAIL": (
-        Outcome.step_too_small, "look for a discontinuity there, or try Rosenbrock()",
+        Outcome.step_too_small,
+        "look for a discontinuity there, or try Rosenbrock()",
     ),
     "IDA_LINESEARCH_FAIL": (
-        Outcome.not_consistent, "give start values of the algebraic unknowns near a solution",
+        Outcome.not_consistent,
+        "give start values of the algebraic unknowns near a solution",
     ),
-}  # fmt: skip
+}
 
 
 _COUNT = {
-    "steps": "nsteps", "evaluations": "nfevals", "jacobians": "nlinsetups",
-    "newton_iterations": "nniters", "rejected_steps": "netfails",
-    "failed_newton": "nncfails", "last_order": "qlast", "last_step": "hlast",
-}  # fmt: skip
+    "steps": "nsteps",
+    "evaluations": "nfevals",
+    "jacobians": "nlinsetups",
+    "newton_iterations": "nniters",
+    "rejected_steps": "netfails",
+    "failed_newton": "nncfails",
+    "last_order": "qlast",
+    "last_step": "hlast",
+}
 
 
 @dataclass(frozen=True)
@@ -93,9 +102,11 @@ class Idas:
         """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""
         scale = self.safety / math.sqrt(max(1, model.n_x + model.n_z))
         options: dict[str, Any] = {
-            "reltol": max(self.rtol * scale, _FLOOR), "abstol": self.atol * scale,
-            "max_multistep_order": self.max_order, "max_num_steps": self.max_steps,
-        }  # fmt: skip
+            "reltol": max(self.rtol * scale, _FLOOR),
+            "abstol": self.atol * scale,
+            "max_multistep_order": self.max_order,
+            "max_num_steps": self.max_steps,
+        }
         if model.n_z:
             # Their rounding, large where they follow from stiff forces, must not set the step.
             options["suppress_algebraic"] = True
@@ -119,7 +130,7 @@ class Idas:
         if isinstance(found, Trajectory):
             return found
 
-        def scaled(start: Point, length: float) -> dict[str, Any]:
+        def scaled(start: Instant, length: float) -> dict[str, Any]:
             own = dict(options)
             for name, value in (("max_step_size", self.max_step), ("step0", self.first_step)):
                 if value:

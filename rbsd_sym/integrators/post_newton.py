@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..model import Model
+from ..model.model import Model
 
 
 @dataclass(frozen=True)

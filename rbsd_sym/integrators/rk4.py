@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..model import Model
-from ..trajectory import Experiment, Outcome, Trajectory
-from .checks import check_fixed_step, elements_of, refuse_events, refuse_unknowns
+from ..model.model import Model
+from ..model.trajectory import Experiment, Outcome, Trajectory
 from .driver import Run, Verdict, run
+from .options import check_fixed_step, elements_of, refuse_events, refuse_unknowns
 
 
 @dataclass(frozen=True)

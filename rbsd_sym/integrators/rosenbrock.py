@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from ..model import Model
-from ..trajectory import Experiment, Trajectory
+from ..model.model import Model
+from ..model.trajectory import Experiment, Trajectory
 from .casadi_run import run_with_events
-from .checks import check_options, judge_runge_kutta, refuse_updates, runge_kutta_options
 from .driver import run
+from .options import check_options, judge_runge_kutta, refuse_updates, runge_kutta_options
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,12 @@ class Rosenbrock:
         """
         refuse_updates(model, type(self).__name__)
         options = {"reltol": self.rtol, "abstol": self.atol, **self.casadi_options}
-        count = {"steps": "n_steps", "evaluations": "n_rhs", "jacobians": "n_jac",
-                 "rejected_steps": "n_reject"}  # fmt: skip
+        count = {
+            "steps": "n_steps",
+            "evaluations": "n_rhs",
+            "jacobians": "n_jac",
+            "rejected_steps": "n_reject",
+        }
         judge = lambda result: judge_runge_kutta(result, self.max_steps)  # noqa: E731
         solve = run_with_events if model.dae.events else run
         return solve(model, experiment, self.plugin, options, judge, count)

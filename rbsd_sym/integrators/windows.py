@@ -17,21 +17,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..casadi_events import LEAST
-from ..model import Model
-from ..trajectory import Experiment, Outcome, Trajectory
-from .driver import (
-    Run,
-    Verdict,
-    assemble,
-    call_integrator,
-    casadi_dae,
-    failure_report,
-    settle,
-)
-from .events import SEARCHED, End, Point, Watch, guarded
+from ..model.casadi_events import LEAST
+from ..model.model import Model
+from ..model.signals import is_constant, raise_of_user
+from ..model.trajectory import Experiment, Outcome, Trajectory
+from .driver import Run, Verdict, assemble, call_integrator, casadi_dae, failure_report, settle
+from .events import SEARCHED, Instant, SegmentEnd, Watch, guarded
 from .post_newton import Advice, PostNewton, advice
-from .signals import is_constant, raise_of_user
 
 LOOKS = 8  # in an output interval, at least
 _MOST = 20_000  # looks in a stretch
@@ -42,7 +34,7 @@ _SLIVER = 1e-3  # of a look, which is not looked at
 _UNIFORM = 1e-9  # relative differences of output intervals that count as equal
 _TIGHTER = 1e-2  # tolerances for the way to an event, relative to those of the run
 
-Options = Callable[[Point, float], Mapping[str, Any]]
+Options = Callable[[Instant, float], Mapping[str, Any]]
 """(start, length in s) -> CasADi's options for a stretch in scaled time."""
 
 
@@ -57,7 +49,7 @@ class Stretches:
     own: dict[Any, Any] = field(default_factory=dict)
 
     def run(
-        self, plugin: str, start: Point, length: float, looks: int, options: Mapping[str, Any]
+        self, plugin: str, start: Instant, length: float, looks: int, options: Mapping[str, Any]
     ) -> Run:
         """States at `looks` equal distances from the start on."""
         function = self._integrator(plugin, looks, options)
@@ -73,7 +65,7 @@ class Stretches:
         raise_of_user(self.kept)
         return result
 
-    def advance(self, point: Point, t: float, rtol: float, atol: float) -> Any:
+    def advance(self, point: Instant, t: float, rtol: float, atol: float) -> Any:
         """State at a later time, smooth in it, for the search of an event."""
         options = {"reltol": rtol * _TIGHTER, "abstol": atol * _TIGHTER, "max_num_steps": 10_000}
         result = self.run("rosenbrock", point, t - point.t, 1, options)
@@ -131,7 +123,7 @@ class Walk:
             self._finer *= 2
         self._uniform = bool(np.ptp(steps) <= _UNIFORM * steps[0])
 
-    def go(self) -> End:
+    def go(self) -> SegmentEnd:
         """From the start to the end, or to what ends it."""
         e = self.experiment
         found = guarded(lambda: self._go(self.watch.begin(float(e.t[0]), e.x, e.z)))
@@ -139,7 +131,7 @@ class Walk:
             self._save(found.point)
         return found
 
-    def _go(self, point: Point) -> End:
+    def _go(self, point: Instant) -> SegmentEnd:
         times, size, few = self.experiment.t, 1, _MOST
         self._save(point)
         while self.saved < len(times):
@@ -152,11 +144,11 @@ class Walk:
             points, failed = self._stretch(point, end, looks)
             reached = self._along(points)
             if reached is None and failed is not None:
-                return End(None, points[-1].t, failed=failed)
+                return SegmentEnd(None, points[-1].t, failed=failed)
             few = min(4 * few, _MOST) if reached is None else _FEW
             size = min(2 * size, _LONGEST) if reached is None else 1
             point = points[-1] if reached is None else reached
-        return End(Outcome.reached_end, point.t)
+        return SegmentEnd(Outcome.reached_end, point.t)
 
     def _part(self, t: float, end: float, few: int) -> tuple[float, int]:
         """The end of the next stretch on the way to an output time, and its looks, `few` at most.
@@ -169,7 +161,7 @@ class Walk:
             return t + (end - t) * few / looks, few
         return end, 2 ** max(0, math.ceil(math.log2(max(1.0, looks - _SLIVER))))
 
-    def _along(self, points: list[Point]) -> Point | None:
+    def _along(self, points: list[Instant]) -> Instant | None:
         """The point after the first event, or change of data, on the way; None if there is none."""
         for a, b in pairwise(points):
             found = self.watch.search(a, b, self._advance)
@@ -183,7 +175,7 @@ class Walk:
             self._save(b)
         return None
 
-    def _stretch(self, start: Point, end: float, looks: int) -> tuple[list[Point], Run | None]:
+    def _stretch(self, start: Instant, end: float, looks: int) -> tuple[list[Instant], Run | None]:
         """Points on the way, with what the events look at, and the run if it failed."""
         length = end - start.t
         options = self.options(start, length)
@@ -202,7 +194,7 @@ class Walk:
         self.looks += n
         return [start, *self.watch.look_at(t[1:n], x[1:], z[1:])], run if n < len(good) else None
 
-    def _advance(self, point: Point, t: float) -> tuple[np.ndarray, np.ndarray] | None:
+    def _advance(self, point: Instant, t: float) -> tuple[np.ndarray, np.ndarray] | None:
         state = self.stretches.advance(point, t, *self.tolerances)
         if state is None or not self.model.n_z:
             return state
@@ -210,7 +202,7 @@ class Walk:
         z, found = self.model.consistent(t, state[0], state[1], u, p)
         return (state[0], z) if found else None
 
-    def _resolve(self, a: Point, b: Point) -> Point | None:
+    def _resolve(self, a: Instant, b: Instant) -> Instant | None:
         """The point at which data change (see `post_newton`), if they do on the way to b."""
         last, target = a, b
         while True:
@@ -229,11 +221,11 @@ class Walk:
             middle = (last.t + target.t) / 2
             target = self.watch.reach(a, middle, self._advance)
 
-    def _advice(self, point: Point) -> Advice:
+    def _advice(self, point: Instant) -> Advice:
         u, p = self.watch.inputs(point.t), self.experiment.p
         return advice(self.model, point.t, point.x, point.z, u, p)
 
-    def _save(self, point: Point) -> None:
+    def _save(self, point: Instant) -> None:
         """Keep the state if its time is an output time."""
         times, instant = self.experiment.t, self.watch.instant
         k = self.saved

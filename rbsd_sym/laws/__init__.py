@@ -4,7 +4,6 @@
 add forces along one component of them.
 """
 
-from .base import Law, Relative, Response, SpringDamper, respond
 from .consistent import Consistent
 from .contact import Contact, stops
 from .effect import AXES, Effect, Own
@@ -12,13 +11,32 @@ from .fracture import Fracture
 from .friction import Friction, LuGre
 from .impact import Impact
 from .intrinsic import Intrinsic
+from .law import Law, Relative, Response, SpringDamper, respond
 from .maxwell import Maxwell
 from .plastic import Plastic
 from .standard import Standard
 from .stiffness import Cubic, Table
 
 __all__ = [
-    "AXES", "Consistent", "Contact", "Cubic", "Effect", "Fracture", "Friction", "Impact",
-    "Intrinsic", "Law", "LuGre", "Maxwell", "Own", "Plastic", "Relative", "Response",
-    "SpringDamper", "Standard", "Table", "respond", "stops",
-]  # fmt: skip
+    "AXES",
+    "Consistent",
+    "Contact",
+    "Cubic",
+    "Effect",
+    "Fracture",
+    "Friction",
+    "Impact",
+    "Intrinsic",
+    "Law",
+    "LuGre",
+    "Maxwell",
+    "Own",
+    "Plastic",
+    "Relative",
+    "Response",
+    "SpringDamper",
+    "Standard",
+    "Table",
+    "respond",
+    "stops",
+]

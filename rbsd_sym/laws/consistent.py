@@ -7,8 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ..mechanics import Motion, Wrench
-from ..rotation import (
+from ..base.rotation import (
     cross,
     quarter,
     quarter_log,
@@ -17,7 +16,8 @@ from ..rotation import (
     quat_product,
     quat_upper,
 )
-from .base import Relative
+from ..mechanics.motion import Motion, Wrench
+from .law import Relative
 
 
 @dataclass(frozen=True)

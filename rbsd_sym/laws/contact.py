@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from ..symbols import is_number
+from ..base.symbols import is_number
 from .effect import Answer, Change, Effect, Own, Rule, Sight, value_at_default
 from .smooth import ramp, ramp_integral, step_over_ramp
 
@@ -44,9 +44,10 @@ class Contact(Effect):
     smoothing: float = 0.0
     name: str = ""
     rules: ClassVar[Mapping[str, Rule]] = {
-        "stiffness": Rule("N/m", positive=True), "damping": Rule("N s/m"),
+        "stiffness": Rule("N/m", positive=True),
+        "damping": Rule("N s/m"),
         "gap": Rule("m", signed=True),
-    }  # fmt: skip
+    }
 
     def _check(self, where: str) -> None:
         if self.side not in (1, -1):
@@ -68,14 +69,21 @@ class Contact(Effect):
         touch = ca.if_else(closed, 1, -ca.fmin(depth, spread))
         leave = ca.if_else(closed, spread, 1)
         changes = (
-            Change("closes", touch, ca.vertcat(1, lost - ca.fmax(depth, 0) * depth
-                                               * self.stiffness / 2), at_once=True),
+            Change(
+                "closes",
+                touch,
+                ca.vertcat(1, lost - ca.fmax(depth, 0) * depth * self.stiffness / 2),
+                at_once=True,
+            ),
             Change("opens", leave, ca.vertcat(0, lost + stored), at_once=True),
-        )  # fmt: skip
+        )
         return Answer(
-            -self.side * closed * push, closed * stored, closed * self.damping * speed**2,
-            ca.SX.zeros(2), changes,
-        )  # fmt: skip
+            -self.side * closed * push,
+            closed * stored,
+            closed * self.damping * speed**2,
+            ca.SX.zeros(2),
+            changes,
+        )
 
     def _smooth(self, depth: ca.SX, speed: ca.SX) -> Answer:
         w = self.smoothing
@@ -88,9 +96,14 @@ class Contact(Effect):
 
 
 def stops(
-    axis: int, lower: Any, upper: Any, stiffness: Any, damping: Any = 0.0, smoothing: float = 0.0,
+    axis: int,
+    lower: Any,
+    upper: Any,
+    stiffness: Any,
+    damping: Any = 0.0,
+    smoothing: float = 0.0,
     name: str = "stop",
-) -> tuple[Contact, Contact]:  # fmt: skip
+) -> tuple[Contact, Contact]:
     """Limit stops: contacts at the strains `lower` and `upper` (m or rad), as two effects.
 
     Raises:

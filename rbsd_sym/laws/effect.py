@@ -15,12 +15,18 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..checks import at_default
-from ..symbols import Leaf, Scalar, check_identifier, is_number, leaves_of, to_expr
+from ..base.checks import at_default
+from ..base.symbols import Leaf, Scalar, check_identifier, is_number, leaves_of, to_expr
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-_TURNED = {"N/m": "N m/rad", "N": "N m", "m": "rad", "m/s": "rad/s", "N s/m": "N m s/rad",
-           "N/m3": "N m/rad3"}  # fmt: skip
+_TURNED = {
+    "N/m": "N m/rad",
+    "N": "N m",
+    "m": "rad",
+    "m/s": "rad/s",
+    "N s/m": "N m s/rad",
+    "N/m3": "N m/rad3",
+}
 _NONE = ca.SX(0, 1)
 _ZERO = ca.SX(0)
 

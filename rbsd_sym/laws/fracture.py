@@ -40,9 +40,10 @@ class Fracture(Effect):
     name: str = ""
     whole: ClassVar[bool] = True
     rules: ClassVar[Mapping[str, Rule]] = {
-        "force": Rule("N", positive=True), "torque": Rule("N m", positive=True),
+        "force": Rule("N", positive=True),
+        "torque": Rule("N m", positive=True),
         "energy": Rule("J", positive=True),
-    }  # fmt: skip
+    }
 
     def _check(self, where: str) -> None:
         if self.force is None and self.torque is None and self.energy is None:
@@ -68,9 +69,11 @@ class Fracture(Effect):
             return Answer(dissipated=rate * sight.energy, rates=rate, factor=1 - sight.own[0])
         broken, lost = sight.own[0] > 0.5, sight.own[1]
         breaks = Change(
-            "breaks", ca.if_else(broken, 1, 1 - load), ca.vertcat(1, lost + sight.energy),
+            "breaks",
+            ca.if_else(broken, 1, 1 - load),
+            ca.vertcat(1, lost + sight.energy),
             at_once=True,
-        )  # fmt: skip
+        )
         return Answer(rates=ca.SX.zeros(2), changes=(breaks,), factor=1 - broken)
 
     def _load(self, sight: Sight) -> ca.SX:

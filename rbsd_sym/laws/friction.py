@@ -105,13 +105,22 @@ class Friction(Effect):
         changes = (
             Change("sticks", ca.if_else(slides, mode * v, 1), ca.SX(0), halt),
             Change("moves", ca.if_else(slides, 1, _STILL - ca.fabs(v)), ca.sign(v), at_once=True),
-            Change("slips", ca.if_else(slides, 1, static - ca.fabs(force)), ca.sign(force), halt,
-                   at_once=True),
-        )  # fmt: skip
+            Change(
+                "slips",
+                ca.if_else(slides, 1, static - ca.fabs(force)),
+                ca.sign(force),
+                halt,
+                at_once=True,
+            ),
+        )
         return Answer(
-            force, dissipated=force * v, rates=ca.SX(0), changes=changes,
-            equation=slides * (force - mode * kinetic), held=1 - slides,
-        )  # fmt: skip
+            force,
+            dissipated=force * v,
+            rates=ca.SX(0),
+            changes=changes,
+            equation=slides * (force - mode * kinetic),
+            held=1 - slides,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +157,14 @@ class LuGre(Effect):
     def rules(self) -> Mapping[str, Rule]:  # type: ignore[override]
         """Its numbers."""
         rules = {
-            "kinetic": Rule("", positive=True), "static": Rule("", positive=True),
-            "stribeck": Rule("m/s", positive=True), "stiffness": Rule("N/m", positive=True),
-            "damping": Rule("N s/m"), "viscous": Rule("N s/m"),
+            "kinetic": Rule("", positive=True),
+            "static": Rule("", positive=True),
+            "stribeck": Rule("m/s", positive=True),
+            "stiffness": Rule("N/m", positive=True),
+            "damping": Rule("N s/m"),
+            "viscous": Rule("N s/m"),
             "velocity": Rule("m/s", signed=True),
-        }  # fmt: skip
+        }
         if isinstance(self.normal, str):
             return rules
         return {"normal": Rule("N", positive=True), **rules}

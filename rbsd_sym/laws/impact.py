@@ -33,9 +33,7 @@ class Impact(Effect):
     gap: Any = 0.0
     side: int = 1
     name: str = ""
-    rules: ClassVar[Mapping[str, Rule]] = {
-        "restitution": Rule(""), "gap": Rule("m", signed=True),
-    }  # fmt: skip
+    rules: ClassVar[Mapping[str, Rule]] = {"restitution": Rule(""), "gap": Rule("m", signed=True)}
 
     def _check(self, where: str) -> None:
         if self.side not in (1, -1):

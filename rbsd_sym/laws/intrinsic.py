@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ..mechanics import Motion, Wrench
-from ..rotation import cross, quat_conjugate, quat_half, quat_matrix, quat_product, se3_log
-from .base import Relative
+from ..base.rotation import cross, quat_conjugate, quat_half, quat_matrix, quat_product, se3_log
+from ..mechanics.motion import Motion, Wrench
+from .law import Relative
 
 
 @dataclass(frozen=True)

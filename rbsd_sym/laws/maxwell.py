@@ -28,8 +28,9 @@ class Maxwell(Effect):
     damping: Any
     name: str = ""
     rules: ClassVar[Mapping[str, Rule]] = {
-        "stiffness": Rule("N/m", positive=True), "damping": Rule("N s/m", positive=True),
-    }  # fmt: skip
+        "stiffness": Rule("N/m", positive=True),
+        "damping": Rule("N s/m", positive=True),
+    }
 
     @property
     def own(self) -> tuple[Own, ...]:

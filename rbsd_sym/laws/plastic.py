@@ -44,9 +44,11 @@ class Plastic(Effect):
     smoothing: float = 0.0
     name: str = ""
     rules: ClassVar[Mapping[str, Rule]] = {
-        "stiffness": Rule("N/m", positive=True), "yield_force": Rule("N", positive=True),
-        "kinematic": Rule("N/m"), "isotropic": Rule("N/m"),
-    }  # fmt: skip
+        "stiffness": Rule("N/m", positive=True),
+        "yield_force": Rule("N", positive=True),
+        "kinematic": Rule("N/m"),
+        "isotropic": Rule("N/m"),
+    }
 
     @property
     def own(self) -> tuple[Own, ...]:
@@ -78,8 +80,13 @@ class Plastic(Effect):
         return self._answer(u, p, s, lost, ca.SX.zeros(2), changes)
 
     def _answer(
-        self, u: ca.SX, p: ca.SX, s: ca.SX, lost: ca.SX, rates: ca.SX,
+        self,
+        u: ca.SX,
+        p: ca.SX,
+        s: ca.SX,
+        lost: ca.SX,
+        rates: ca.SX,
         changes: tuple[Change, ...] = (),
-    ) -> Answer:  # fmt: skip
+    ) -> Answer:
         energy = self.stiffness * (u - p) ** 2 + self.kinematic * p**2 + self.isotropic * s**2
         return Answer(self.stiffness * (u - p), energy / 2, lost, rates, changes)

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ..mechanics import Motion, Wrench
-from ..rotation import matrix_xyz
-from .base import Relative
+from ..base.rotation import matrix_xyz
+from ..mechanics.motion import Motion, Wrench
+from .law import Relative
 
 
 @dataclass(frozen=True)

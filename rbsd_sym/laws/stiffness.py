@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from ..symbols import Scalar, is_number
+from ..base.symbols import Scalar, is_number
 from .effect import Answer, Effect, Rule, Sight
 
 
@@ -27,14 +27,16 @@ class Cubic(Effect):
     linear: Any = 0.0
     name: str = ""
     rules: ClassVar[Mapping[str, Rule]] = {
-        "cubic": Rule("N/m3", signed=True), "linear": Rule("N/m", signed=True),
-    }  # fmt: skip
+        "cubic": Rule("N/m3", signed=True),
+        "linear": Rule("N/m", signed=True),
+    }
 
     def answer(self, sight: Sight) -> Answer:
         """Force and energy."""
         u = sight.strain
-        return Answer(self.linear * u + self.cubic * u**3, (self.linear + self.cubic * u * u / 2)
-                      * u * u / 2)  # fmt: skip
+        return Answer(
+            self.linear * u + self.cubic * u**3, (self.linear + self.cubic * u * u / 2) * u * u / 2
+        )
 
 
 @dataclass(frozen=True, eq=False)

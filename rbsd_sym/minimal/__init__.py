@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dae import Dae
-from ..reduction import Reduction
+from ..dae.dae import Dae
+from ..dae.reduction import Reduction
 from .balance import balance
 from .freeze import freeze
 from .planar import planar

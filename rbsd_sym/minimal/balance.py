@@ -15,8 +15,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from ..dae import Dae, Expansion
-from ..parts import Balance, Label, Part, pick
+from ..dae.dae import Dae, Expansion
+from ..dae.members import Balance, Label, Part, pick
 from .undecided import Block, mixed, settle
 
 _SHOWN = 12  # start values in one note
@@ -93,8 +93,9 @@ class _Sorting:
         acting = [row for b in self.blocks for row in b.acting]
         equation = {row: first + i for i, row in enumerate(acting)}
         gauges = [part for b in self.blocks if not b.damped for part in self._gauges(b)]
-        numbered = [replace(part, alg_rows=(first + len(acting) + i,))
-                    for i, part in enumerate(gauges)]  # fmt: skip
+        numbered = [
+            replace(part, alg_rows=(first + len(acting) + i,)) for i, part in enumerate(gauges)
+        ]
         states = list(ca.vertsplit(way.states))
         for row in derived:
             states[row] = ca.SX(0)
@@ -110,10 +111,13 @@ class _Sorting:
             balances=(),
             notes=(*dae.notes, *self.notes),
             expansion=Expansion(
-                ca.vertcat(*states), way.labels, tuple(place.get(row) for row in way.rows),
-                tuple(equation.get(row) for row in range(len(way.rows))), followers,
+                ca.vertcat(*states),
+                way.labels,
+                tuple(place.get(row) for row in way.rows),
+                tuple(equation.get(row) for row in range(len(way.rows))),
+                followers,
             ),
-        )  # fmt: skip
+        )
 
     def _gauges(self, block: Block) -> list[Part]:
         """Equations for what no force decides: the norm of a quaternion, undetermined directions.

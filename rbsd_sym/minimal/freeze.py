@@ -8,9 +8,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ..dae import Dae, Expansion
-from ..parts import Event, Part, numbers_of, pick
-from ..zeros import fold
+from ..dae.dae import Dae, Expansion
+from ..dae.members import Part, Transition, numbers_of, pick
+from ..dae.zeros import fold
 from .probing import at_rest
 
 
@@ -27,8 +27,7 @@ def freeze(dae: Dae) -> Dae:
     kept = [i for i in range(dae.x.numel()) if i not in gone]
     place = {row: i for i, row in enumerate(kept)}
     start, x = dae.x_start, dae.x
-    states = ca.vertcat(ca.SX(0, 1), *(
-        start[i] if i in gone else x[i] for i in range(x.numel())))  # fmt: skip
+    states = ca.vertcat(ca.SX(0, 1), *(start[i] if i in gone else x[i] for i in range(x.numel())))
     return replace(
         dae,
         x=pick(x, kept),
@@ -86,8 +85,11 @@ class _Frozen:
         part = self.parts[k]
         reads = list(part.reads)
         still, values = self.frozen[reads], self.values[reads]
-        formulas = tuple(str(self.start[i]) for i, v, f in zip(reads, values, still, strict=True)
-                         if f and np.isnan(v))  # fmt: skip
+        formulas = tuple(
+            str(self.start[i])
+            for i, v, f in zip(reads, values, still, strict=True)
+            if f and np.isnan(v)
+        )
         given = np.where(still, values, np.nan)
         key = (part.kernel.__hash__(), still.tobytes(), given.tobytes(), formulas, part.signature)
         if key not in self.known:
@@ -102,8 +104,10 @@ class _Frozen:
         while len(self.local) < count:
             self.local.append(ca.SX.sym(f"w{len(self.local)}"))
         local = self.local[:count]
-        x = [self.start[row] if frozen else symbol
-             for row, frozen, symbol in zip(part.reads, still, local, strict=False)]  # fmt: skip
+        x = [
+            self.start[row] if frozen else symbol
+            for row, frozen, symbol in zip(part.reads, still, local, strict=False)
+        ]
         z = local[len(part.reads) :]
         none = ca.SX(0, 1)
         rows, _ = part.kernel(dae.t, ca.vertcat(none, *x), ca.vertcat(none, *z), part.constants)
@@ -126,7 +130,7 @@ class _Frozen:
         return bool(total.is_zero())
 
 
-def _as_part(event: Event) -> Part:
+def _as_part(event: Transition) -> Part:
     """The changes that an event makes in place of rates."""
     t, x, z, c = event.kernel.sx_in()
     change = event.kernel(t, x, z, c)[1]

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import casadi as ca
 
-from ..dae import Dae, Expansion
-from ..parts import Balance, Label, Motion, Part, Turn
+from ..dae.dae import Dae, Expansion
+from ..dae.members import Balance, Kinematics, Label, Part, Rotation
 
 
 def planar(dae: Dae) -> Dae:
@@ -26,7 +26,7 @@ def planar(dae: Dae) -> Dae:
     labels, full_labels = list(dae.x_labels), list(expansion.labels)
     parts, gone = list(dae.parts), set()
     balances, motions, pass_on = dae.balances, dae.motions, _pass_on(dae)
-    for turn in dae.turns:
+    for turn in dae.rotations:
         axis = _axis(rows, states, turn)
         w_row, v_row = turn.quaternion[0], turn.quaternion[(axis or 0) + 1]
         w, v = rows[w_row], rows[v_row]
@@ -76,7 +76,7 @@ def _without(dae: Dae, gone: set[int]) -> Dae:
     )
 
 
-def _axis(rows: Sequence[int | None], states: Sequence[ca.SX], turn: Turn) -> int | None:
+def _axis(rows: Sequence[int | None], states: Sequence[ca.SX], turn: Rotation) -> int | None:
     """The axis 0, 1, 2 of a turn of which only that component moves; None for any other turn."""
     moving = [i for i in range(3) if rows[turn.quaternion[i + 1]] is not None]
     if len(moving) != 1:
@@ -89,7 +89,7 @@ def _axis(rows: Sequence[int | None], states: Sequence[ca.SX], turn: Turn) -> in
     return moving[0]
 
 
-def _about_one_axis(balance: Balance, turn: Turn, axis: int, angle: int) -> Balance:
+def _about_one_axis(balance: Balance, turn: Rotation, axis: int, angle: int) -> Balance:
     """The balance of a rotation that has become one angle, in row `angle`; others as they are."""
     if balance.coordinates != turn.quaternion:
         return balance
@@ -100,13 +100,13 @@ def _about_one_axis(balance: Balance, turn: Turn, axis: int, angle: int) -> Bala
     return Balance(balance.name, (angle,), w, idle, same)
 
 
-def _angle(motion: Motion, turn: Turn, axis: int, angle: int) -> Motion:
+def _angle(motion: Kinematics, turn: Rotation, axis: int, angle: int) -> Kinematics:
     """The motion of a rotation that has become one angle, in row `angle`; others as they are."""
     if motion.coordinates != turn.quaternion:
         return motion
     a, step = ca.SX.sym("a"), ca.SX.sym("step")
     added = ca.Function("retract", [a, step], [a + step])
-    return Motion(motion.name, (angle,), turn.velocity[axis : axis + 1], added)
+    return Kinematics(motion.name, (angle,), turn.velocity[axis : axis + 1], added)
 
 
 def _pass_on(dae: Dae) -> ca.Function:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dae import Dae
-from ..kernels import Group, groups
+from ..dae.dae import Dae
+from ..model.kernels import Group, groups
 
 _PROBES = 4
 _ROUNDING = 1e-11  # of a rate, relative to its size where everything moves

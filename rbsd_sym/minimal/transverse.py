@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import casadi as ca
 
-from ..dae import Dae
-from ..parts import Label
-from ..reduction import Dropped, Replaced
+from ..dae.dae import Dae
+from ..dae.members import Label
+from ..dae.reduction import Dropped, Replaced
 
 _NEVER_MOVES = "its rate is zero while all dropped states keep their start values"
 _NOT_FELT = "no requested output feels it"
@@ -34,8 +34,11 @@ def replaced(left: tuple[Dropped, ...], reduced: Dae) -> tuple[Replaced, ...]:
         return ()
     here = {label.name for label in (*reduced.x_labels, *reduced.z_labels)}
     here |= {d.name for d in left}
-    hows = {row: _rate_of(way.labels, motion.coordinates) for motion in way.followers
-            for row in motion.velocities}  # fmt: skip
+    hows = {
+        row: _rate_of(way.labels, motion.coordinates)
+        for motion in way.followers
+        for row in motion.velocities
+    }
     states = ca.vertsplit(way.states) if way.rows else []
     pairs = [(i, label) for i, label in enumerate(way.labels) if label.name not in here]
     return tuple(Replaced(label.name, hows.get(i, _formula(states[i]))) for i, label in pairs)
@@ -85,8 +88,10 @@ def _over(reduced: Dae, written: Dae) -> ca.SX:
     values = [ca.SX(0, 1)]
     for kind in "xz":
         column, start = getattr(written, kind), getattr(written, f"{kind}_start")
-        values += [column[i] if label.name in here else start[i]
-                   for i, label in enumerate(getattr(written, f"{kind}_labels"))]  # fmt: skip
+        values += [
+            column[i] if label.name in here else start[i]
+            for i, label in enumerate(getattr(written, f"{kind}_labels"))
+        ]
     return ca.vertcat(*values)
 
 

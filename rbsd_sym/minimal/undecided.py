@@ -18,8 +18,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from ..dae import Dae
-from ..parts import Balance, Part
+from ..dae.dae import Dae
+from ..dae.members import Balance, Part
 
 _TAU = 1e-3  # s; the result does not depend on it, rounding grows with its inverse
 _RANK = 1e-9  # of a singular value, relative to the largest; rows are scaled
@@ -45,14 +45,14 @@ def settle(dae: Dae, blocks: list[Block]) -> Dae:
     Raises:
         ValueError: directions that cannot be settled.
     """
-    probe = _Probe(dae)
+    probe = _Sample(dae)
     if not blocks:
         return dae
     if probe.rank(probe.jacobian) == dae.z.numel():
         return _helped_at_start(probe, blocks)
     for group in _groups(probe, blocks):
         dae = _with_extra(dae, group, _extra(probe, group), _note(group))
-    probe = _Probe(dae)
+    probe = _Sample(dae)
     if probe.rank(probe.jacobian) < dae.z.numel():
         names = ", ".join(label.name for label in dae.z_labels)
         raise ValueError(
@@ -62,7 +62,7 @@ def settle(dae: Dae, blocks: list[Block]) -> Dae:
     return _helped_at_start(probe, blocks)
 
 
-def _helped_at_start(probe: _Probe, blocks: list[Block]) -> Dae:
+def _helped_at_start(probe: _Sample, blocks: list[Block]) -> Dae:
     """Virtual damping (or stiffness) where only the start itself decides nothing."""
     dae = probe.dae
     if probe.rank(probe.jacobian, at_start=True) == dae.z.numel():
@@ -91,7 +91,7 @@ def _with_extra(dae: Dae, group: _Group, extra: ca.SX | None, note: str) -> Dae:
 
 def mixed(dae: Dae, blocks: list[Block]) -> list[Block]:
     """Blocks without damping in a group that is undecided and has damping elsewhere."""
-    probe = _Probe(dae)
+    probe = _Sample(dae)
     if not blocks or probe.rank(probe.jacobian) == dae.z.numel():
         return []
     groups = [group.blocks for group in _groups(probe, blocks)]
@@ -99,7 +99,7 @@ def mixed(dae: Dae, blocks: list[Block]) -> list[Block]:
     return [block for members in damped for block in members if not block.damped]
 
 
-class _Probe:
+class _Sample:
     """Values of matrices at the start and at points around it, and what they tell about ranks."""
 
     def __init__(self, dae: Dae, points: int = 5) -> None:
@@ -173,7 +173,7 @@ class _Group:
         return [first + i for b, first in pairs for i in range(len(b.unknowns))]
 
 
-def _groups(probe: _Probe, blocks: list[Block]) -> list[_Group]:
+def _groups(probe: _Sample, blocks: list[Block]) -> list[_Group]:
     """Blocks joined by nonzeros of the Jacobian."""
     rows = np.cumsum([0, *(len(b.acting) for b in blocks)])
     columns = np.cumsum([0, *(len(b.unknowns) for b in blocks)])
@@ -188,13 +188,16 @@ def _groups(probe: _Probe, blocks: list[Block]) -> list[_Group]:
         joined |= joined[:, k : k + 1] & joined[k : k + 1, :]
     first = {int(np.argmax(row)): np.flatnonzero(row) for row in joined}
     return [
-        _Group(tuple(blocks[i] for i in members), tuple(int(rows[i]) for i in members),
-               tuple(int(columns[i]) for i in members))
+        _Group(
+            tuple(blocks[i] for i in members),
+            tuple(int(rows[i]) for i in members),
+            tuple(int(columns[i]) for i in members),
+        )
         for members in first.values()
-    ]  # fmt: skip
+    ]
 
 
-def _extra(probe: _Probe, group: _Group) -> ca.SX | None:
+def _extra(probe: _Sample, group: _Group) -> ca.SX | None:
     """What is added to the balance of a group; None where nothing is needed."""
     dae, rows = probe.dae, [row for row, _ in group.rows_of_blocks]
     F, z = dae.alg[rows], dae.z[group.columns]
@@ -215,7 +218,7 @@ def _extra(probe: _Probe, group: _Group) -> ca.SX | None:
     return _through(probe, D, _TAU * rate) - _through(probe, felt, z)
 
 
-def _check_nothing_acts(probe: _Probe, felt: ca.SX, F: ca.SX, group: _Group) -> None:
+def _check_nothing_acts(probe: _Sample, felt: ca.SX, F: ca.SX, group: _Group) -> None:
     """A force in a direction that neither states nor unknowns feel cannot be balanced."""
     sizes = [np.abs(value).max() for value in probe.values(F)]
     lost = [np.abs(value).max() for value in probe.values(_through(probe, felt, F))]
@@ -246,7 +249,7 @@ def _away(dae: Dae, block: Block) -> ca.SX:
     return ca.substitute(turned[rows], ca.vertcat(c, start), ca.vertcat(at, given))
 
 
-def _through(probe: _Probe, matrix: ca.SX, vector: ca.SX) -> ca.SX:
+def _through(probe: _Sample, matrix: ca.SX, vector: ca.SX) -> ca.SX:
     """The vector, in the left null space of a matrix, in the units of F where it has none."""
     n, scales = matrix.size1(), ca.DM(probe.scales(matrix))
     rank = probe.rank(matrix)

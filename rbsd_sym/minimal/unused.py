@@ -8,8 +8,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from ..dae import Dae, Expansion
-from ..parts import Part, pick
+from ..dae.dae import Dae, Expansion
+from ..dae.members import Part, pick
 
 
 def unused(dae: Dae) -> Dae:
@@ -38,19 +38,28 @@ def unused(dae: Dae) -> Dae:
     rows = tuple(None if row is None else x_place.get(row) for row in way.rows)
     alg_rows = tuple(None if row is None else alg_place.get(row) for row in way.alg_rows)
     expansion = Expansion(
-        ca.substitute(way.states, symbols, ca.vertcat(*start)), way.labels, rows, alg_rows,
+        ca.substitute(way.states, symbols, ca.vertcat(*start)),
+        way.labels,
+        rows,
+        alg_rows,
         tuple(m for m in way.followers if not lost & set(m.velocities)),
         way.unknown | frozenset(lost),
-    )  # fmt: skip
+    )
     return replace(
         _only(dae, sorted(kept_x), sorted(kept_z)),
-        parts=tuple(_renumbered(part, alg_place) for part in dae.parts
-                    if _matters(part, rows, alg_rows, alg_place)),
+        parts=tuple(
+            _renumbered(part, alg_place)
+            for part in dae.parts
+            if _matters(part, rows, alg_rows, alg_place)
+        ),
         events=events,
-        holds=tuple(replace(hold, alg_row=alg_place[hold.alg_row]) for hold in dae.holds
-                    if hold.alg_row in alg_place),
+        holds=tuple(
+            replace(hold, alg_row=alg_place[hold.alg_row])
+            for hold in dae.holds
+            if hold.alg_row in alg_place
+        ),
         expansion=expansion,
-    )  # fmt: skip
+    )
 
 
 def _only(dae: Dae, x: list[int], z: list[int]) -> Dae:
@@ -96,11 +105,7 @@ def _felt(dae: Dae) -> tuple[set[int], set[int], set[int]]:
         rows = {column} if column < n else equations.get(column, set()) - alg
         alg |= {row for row in rows if row >= n}
         todo |= {other for row in rows for other in reads[row]} - felt
-    return (
-        {i for i in felt if i < n},
-        {i - n for i in felt if i >= n},
-        {row - n for row in alg},
-    )
+    return ({i for i in felt if i < n}, {i - n for i in felt if i >= n}, {row - n for row in alg})
 
 
 def _looks(dae: Dae, xz: ca.SX) -> list[list[int]]:
@@ -130,9 +135,11 @@ def _rows(pattern: ca.Sparsity) -> list[list[int]]:
 
 
 def _matters(
-    part: Part, rows: tuple[int | None, ...], alg_rows: tuple[int | None, ...],
+    part: Part,
+    rows: tuple[int | None, ...],
+    alg_rows: tuple[int | None, ...],
     alg_place: dict[int, int],
-) -> bool:  # fmt: skip
+) -> bool:
     live = any(rows[row] is not None or alg_rows[row] is not None for row in part.ode_rows)
     return live or any(row in alg_place for row in part.alg_rows)
 

@@ -25,14 +25,14 @@ with exact derivatives, a `Chain` all stages, a `Plan` what the numbers of the a
 """
 
 from .between import Miss
-from .collocation import Collocation
+from .direct_collocation import Collocation
+from .direct_shooting import Shooting
 from .export import export_problem
 from .flight import Flight
 from .loaded import Code, ProblemLibrary, load_problem
 from .nlp import Nlp
 from .optimise import optimise, transcribe
 from .problem import Bound, Free, Phase, Problem
-from .shooting import Shooting
 from .solution import OptimisationError, Pieces, Solution
 from .solvers import Fatrop, Ipopt, Iteration, Outcome
 

@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..parts import Label
-from .frame import Frame
+from ..dae.members import Label
+from .stage import Frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,11 @@ class Miss:
 def groups(frame: Frame) -> dict[str, tuple[Label, ...]]:
     """Labels of the states, unknowns, and Inputs that are to be found."""
     dae = frame.model.dae
-    return {"x": dae.x_labels, "z": dae.z_labels,
-            "u": tuple(dae.u_labels[k] for k in frame.controls)}  # fmt: skip
+    return {
+        "x": dae.x_labels,
+        "z": dae.z_labels,
+        "u": tuple(dae.u_labels[k] for k in frame.controls),
+    }
 
 
 def path_box(frame: Frame, i: int, kind: str) -> np.ndarray:
@@ -103,7 +106,8 @@ def passed(limit: Limits, values: Any) -> np.ndarray:
     low, high = limit.low[:, None], limit.high[:, None]
     gap = np.maximum(np.maximum(low - values, values - high), 0.0)
     both = np.isfinite(high - low) & (high > low)
-    largest = np.maximum(np.abs(np.where(np.isfinite(low), low, 0.0)),
-                         np.abs(np.where(np.isfinite(high), high, 0.0)))  # fmt: skip
+    largest = np.maximum(
+        np.abs(np.where(np.isfinite(low), low, 0.0)), np.abs(np.where(np.isfinite(high), high, 0.0))
+    )
     scale = np.where(both, np.where(both, high, 1.0) - np.where(both, low, 0.0), largest)
     return gap / np.where(scale > 0, scale, 1.0)

@@ -9,13 +9,13 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from ..parts import Label
+from ..dae.members import Label
 from .between import groups, path_box
 from .elastic import loosened
 from .ends import End, at_end, at_start, opened
-from .frame import Frame
 from .interval import Interval
 from .nlp import Nlp, Segment, StageFunctions
+from .stage import Frame
 
 
 class Start(Protocol):
@@ -61,9 +61,12 @@ class Chain:
 
 
 def chained(
-    frame: Frame, intervals: Sequence[Interval], mesh: tuple[np.ndarray, ...], guess: Start,
+    frame: Frame,
+    intervals: Sequence[Interval],
+    mesh: tuple[np.ndarray, ...],
+    guess: Start,
     elastic: bool = False,
-) -> Chain:  # fmt: skip
+) -> Chain:
     """The stages of all phases.
 
     Arguments:
@@ -87,9 +90,13 @@ def chained(
 
 
 def _body(
-    frame: Frame, i: int, interval: Interval, mesh: np.ndarray, guess: Start,
+    frame: Frame,
+    i: int,
+    interval: Interval,
+    mesh: np.ndarray,
+    guess: Start,
     begin: np.ndarray | None,
-) -> Segment:  # fmt: skip
+) -> Segment:
     """The intervals of a phase; `begin` are bounds of the states at the first, if it is theirs."""
     starts, lengths = mesh[:-1], np.diff(mesh)
     names_of = groups(frame)
@@ -112,10 +119,22 @@ def _body(
         _fix_unused(frame, i, lower, upper)
     row_low, row_high, rows, row_when, kinds = _interval_rows(frame, i, interval)
     return Segment(
-        interval.functions, np.vstack([lengths, starts]), frame.n_y, frame.n_y, lower, upper,
-        np.clip(np.vstack(values), lower, upper), row_low, row_high, tuple(names), rows,
-        (np.array(when), row_when), i, np.vstack([starts, mesh[1:]]).T, kinds,
-    )  # fmt: skip
+        interval.functions,
+        np.vstack([lengths, starts]),
+        frame.n_y,
+        frame.n_y,
+        lower,
+        upper,
+        np.clip(np.vstack(values), lower, upper),
+        row_low,
+        row_high,
+        tuple(names),
+        rows,
+        (np.array(when), row_when),
+        i,
+        np.vstack([starts, mesh[1:]]).T,
+        kinds,
+    )
 
 
 def _state_box(frame: Frame, i: int, interval: Interval) -> np.ndarray:
@@ -148,9 +167,9 @@ def _handed_on(
     free = np.full(frame.n_m, np.inf)
     low = np.concatenate([box[0], frame.s_low, -free])
     high = np.concatenate([box[1], frame.s_high, free])
-    values = np.vstack([
-        guess.x(i, at), np.repeat(guess.s[:, None], n, axis=1), guess.v(i, at)[: frame.n_m]
-    ])  # fmt: skip
+    values = np.vstack(
+        [guess.x(i, at), np.repeat(guess.s[:, None], n, axis=1), guess.v(i, at)[: frame.n_m]]
+    )
     return np.repeat(low[:, None], n, axis=1), np.repeat(high[:, None], n, axis=1), values
 
 
@@ -198,12 +217,22 @@ def _node(frame: Frame, i: int, end: End, guess: Start, first: bool, last: bool)
     rows = (*names[: 0 if final else frame.n_y], *unknowns, *end.labels)
     balance = np.zeros(n_z)
     return Segment(
-        _node_functions(frame, i, end, n_z, last, final), np.zeros((0, 1)), frame.n_y,
-        0 if final else frame.n_y, lower, upper, start, np.concatenate([balance, end.low]),
-        np.concatenate([balance, end.high]), labels, rows,
-        (np.zeros(len(labels)), np.zeros(len(rows))), i, np.array([[at[0], at[0]]]),
+        _node_functions(frame, i, end, n_z, last, final),
+        np.zeros((0, 1)),
+        frame.n_y,
+        0 if final else frame.n_y,
+        lower,
+        upper,
+        start,
+        np.concatenate([balance, end.low]),
+        np.concatenate([balance, end.high]),
+        labels,
+        rows,
+        (np.zeros(len(labels)), np.zeros(len(rows))),
+        i,
+        np.array([[at[0], at[0]]]),
         ("link",) * (0 if final else frame.n_y) + ("alg",) * n_z + ("end",) * len(end.labels),
-    )  # fmt: skip
+    )
 
 
 def _link(frame: Frame, i: int) -> list[ca.SX]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ..parts import Label
+from ..dae.members import Label
 from .nlp import Segment, StageFunctions
 
 MISSED = "missed by"
@@ -65,10 +65,12 @@ def _as_rows(part: Segment, kind: str, box: np.ndarray) -> Segment:
         own = (low[j] == box[j, 0]) & (high[j] == box[j, 1])
         low[j, own], high[j, own] = -np.inf, np.inf
     return replace(
-        part, low=low, high=high,
+        part,
+        low=low,
+        high=high,
         row_low=np.append(part.row_low, box[chosen, 0]),
         row_high=np.append(part.row_high, box[chosen, 1]),
         rows=(*part.rows, *(part.variables[j] for j in chosen)),
         when=(part.when[0], np.append(part.when[1], part.when[0][chosen])),
         kinds=(*part.kinds, *(kind for _ in chosen)),
-    )  # fmt: skip
+    )

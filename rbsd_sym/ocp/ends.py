@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..parts import Label, pick
-from ..rotation import matrix_xyz, quat_matrix
-from .frame import Frame, quaternions
+from ..base.rotation import matrix_xyz, quat_matrix
+from ..dae.members import Label, pick
+from .stage import Frame, quaternions
 from .terms import Rows, error_vector
 
 _ROOM = 1e-9  # of a start value beside its bounds
@@ -86,9 +86,16 @@ def at_end(frame: Frame, i: int) -> End:
 def opened(frame: Frame, end: End) -> End:
     """The same end, with bounds of states as rows."""
     boxed = [k for k in range(frame.model.n_x) if np.isfinite(end.box[:, k]).any()]
-    symbols = [ca.SX.sym(k, size) for k, size in (
-        ("t", 1), ("x", frame.model.n_x), ("z", frame.model.n_z), ("v", frame.n_v),
-        ("s", frame.n_s))]  # fmt: skip
+    symbols = [
+        ca.SX.sym(k, size)
+        for k, size in (
+            ("t", 1),
+            ("x", frame.model.n_x),
+            ("z", frame.model.n_z),
+            ("v", frame.n_v),
+            ("s", frame.n_s),
+        )
+    ]
     rows, alg = end.rows(*symbols)
     box = end.box.copy()
     box[0, boxed], box[1, boxed] = -np.inf, np.inf
@@ -102,9 +109,7 @@ def opened(frame: Frame, end: End) -> End:
     )
 
 
-def _end(
-    frame: Frame, box: np.ndarray, rows: Rows, extra: _Extra, x: ca.SX, s: ca.SX
-) -> End:  # fmt: skip
+def _end(frame: Frame, box: np.ndarray, rows: Rows, extra: _Extra, x: ca.SX, s: ca.SX) -> End:
     own = frame.node(rows.expr)
     t, z, v = ca.SX.sym("t"), ca.SX.sym("z", frame.model.n_z), ca.SX.sym("v", frame.n_v)
     value, alg = own(t, x, z, v, s)
@@ -126,9 +131,12 @@ def _open_rows(frame: Frame, i: int) -> Rows:
     given = {f"{body}.rotation error" for body in _given_turns(frame, i)}
     keep = [k for k, v in enumerate(rows.labels) if v.name.rpartition("_")[0] not in given]
     return Rows(
-        tuple(rows.labels[k] for k in keep), pick(rows.expr, keep), rows.low[keep],
-        rows.high[keep], rows.targets,
-    )  # fmt: skip
+        tuple(rows.labels[k] for k in keep),
+        pick(rows.expr, keep),
+        rows.low[keep],
+        rows.high[keep],
+        rows.targets,
+    )
 
 
 def _given_turns(frame: Frame, i: int) -> dict[str, dict[str, float]]:
@@ -194,9 +202,10 @@ def _by_params(frame: Frame) -> dict[str, int]:
         return {}
     named = set(frame.problem.stretches[0].start)
     return {
-        label.name: i for i, label in enumerate(dae.x_labels)
+        label.name: i
+        for i, label in enumerate(dae.x_labels)
         if label.name not in named and ca.depends_on(dae.x_start[i], ca.vertcat(*p))
-    }  # fmt: skip
+    }
 
 
 def _add_by_params(frame: Frame, extra: _Extra, x: ca.SX, s: ca.SX) -> None:

@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from .. import version
-from ..exports import names
-from ..exports.files import MANIFEST, Artefact, sha256, template, write_folder
+from ..exports import c_names as names
+from ..exports.folder import MANIFEST, Artefact, sha256, template, write_folder
 from ..exports.header import banner
 from .export_texts import Sizes, card_text, example_text, header_text, problem_name
 from .interval import Method
@@ -24,8 +24,16 @@ from .problem import Problem
 PROBLEM = "optimal control problem"
 _PARTS = ("value", "jacobian", "gradient", "hessian")
 _SOLVER = {"LEAST_SHIFT": "1e-4", "MOST_SHIFTS": 8, "MOST_HALVINGS": 25, "MEMORY": 4}
-_FUNCTIONS = ("objective", "gradient", "constraints", "jacobian", "hessian", "bounds", "defaults",
-              "inputs")  # fmt: skip
+_FUNCTIONS = (
+    "objective",
+    "gradient",
+    "constraints",
+    "jacobian",
+    "hessian",
+    "bounds",
+    "defaults",
+    "inputs",
+)
 
 
 def export_problem(
@@ -72,9 +80,7 @@ def export_problem(
     return Artefact(target, model.name, model.digest, tuple(functions))
 
 
-def _manifest(
-    made: Parametric, sizes: Sizes, functions: list[str], texts: dict[str, str]
-) -> str:  # fmt: skip
+def _manifest(made: Parametric, sizes: Sizes, functions: list[str], texts: dict[str, str]) -> str:
     model, frame = made.frame.model, made.frame
     states = zip(model.x_labels, made.state, strict=True)
     groups = {
@@ -84,11 +90,17 @@ def _manifest(
         "s": [[v.name, v.unit, v.start] for v in frame.s_labels],
     }
     content = {
-        "rbsd_sym": version.VERSION, "abi": version.ABI, "casadi": ca.CasadiMeta.version(),
-        "name": model.name, "digest": model.digest, "kind": PROBLEM, "functions": functions,
-        "sizes": sizes.numbers, "labels": groups,
+        "rbsd_sym": version.VERSION,
+        "abi": version.ABI,
+        "casadi": ca.CasadiMeta.version(),
+        "name": model.name,
+        "digest": model.digest,
+        "kind": PROBLEM,
+        "functions": functions,
+        "sizes": sizes.numbers,
+        "labels": groups,
         "files": {name: sha256(text) for name, text in sorted(texts.items())},
-    }  # fmt: skip
+    }
     return json.dumps(content, indent=1) + "\n"
 
 
@@ -120,9 +132,14 @@ def _sizes(made: Parametric, solver: bool) -> Sizes:
     jac, hess = _patterns(made)
     calls = [getattr(stage, part) for stage in made.stages for part in _PARTS]
     numbers = {
-        "N_X": frame.model.n_x, "N_U": frame.n_v, "N_P": len(made.p_labels), "N_W": nlp.n,
-        "N_G": nlp.m, "NNZ_JAC": jac.nnz(), "NNZ_HESS": hess.nnz(),
-    }  # fmt: skip
+        "N_X": frame.model.n_x,
+        "N_U": frame.n_v,
+        "N_P": len(made.p_labels),
+        "N_W": nlp.n,
+        "N_G": nlp.m,
+        "NNZ_JAC": jac.nnz(),
+        "NNZ_HESS": hess.nnz(),
+    }
     stack = 8 * max(f.sz_w() + f.sz_iw() + f.sz_arg() + f.sz_res() for f in calls)
     stack += 8 * max(stage.jacobian.nnz_out(0) for stage in made.stages)
     if solver:
@@ -138,8 +155,12 @@ def _sizes(made: Parametric, solver: bool) -> Sizes:
 
 def _quadratic_program(name: str, jac: ca.Sparsity, hess: ca.Sparsity) -> ca.Function:
     """CasADi's qrqp for programs of these patterns, silent."""
-    options = {"print_header": False, "print_info": False, "print_iter": False,
-               "error_on_fail": False}  # fmt: skip
+    options = {
+        "print_header": False,
+        "print_info": False,
+        "print_iter": False,
+        "error_on_fail": False,
+    }
     return ca.conic(f"{name}_casadi_qp", "qrqp", {"h": hess, "a": jac}, options)
 
 
@@ -167,18 +188,24 @@ def _source(made: Parametric, method: Method, sizes: Sizes) -> str:
         generator.add(qp)
         marks |= _SOLVER | {"QP_ARG": max(12, qp.sz_arg()), "QP_RES": max(4, qp.sz_res())}
     code = str(generator.dump())
-    files = ["ocp_problem", *(["ocp_shift"] if sizes.shifts else []),
-             *(["ocp_solve"] if sizes.solver else [])]  # fmt: skip
-    return "\n".join([
-        banner(made.frame.model, f"{name}.c: functions of an optimal control problem"),
-        f'#include "{name}.h"\n',
-        "#include <math.h>\n#include <stddef.h>\n#include <string.h>\n",
-        "#if defined(__GNUC__)\n"
-        '#pragma GCC diagnostic ignored "-Wunused-parameter" /* of CasADi\'s common signature */\n'
-        "#endif\n",
-        code,
-        *(template(f"{file}.c", marks) for file in files),
-    ])  # fmt: skip
+    files = [
+        "ocp_problem",
+        *(["ocp_shift"] if sizes.shifts else []),
+        *(["ocp_solve"] if sizes.solver else []),
+    ]
+    return "\n".join(
+        [
+            banner(made.frame.model, f"{name}.c: functions of an optimal control problem"),
+            f'#include "{name}.h"\n',
+            "#include <math.h>\n#include <stddef.h>\n#include <string.h>\n",
+            "#if defined(__GNUC__)\n"
+            '#pragma GCC diagnostic ignored "-Wunused-parameter" '
+            "/* of CasADi's common signature */\n"
+            "#endif\n",
+            code,
+            *(template(f"{file}.c", marks) for file in files),
+        ]
+    )
 
 
 def _add(generator: ca.CodeGenerator, function: ca.Function, method: Method) -> None:
@@ -217,17 +244,26 @@ def _marks(made: Parametric, sizes: Sizes, method: Method) -> dict[str, Any]:
         _table("double", "p_default", np.array([v.start for v in made.p_labels], float)),
         _table("double", "input_nodes", control_nodes(method.input_degree)),
         *([_table("int", "states_at", np.array(offsets))] if sizes.shifts else []),
-        *(_table("int", f"{what}_{key}", np.array(getattr(pattern, key)(), int))
-          for what, pattern in (("jacobian", sizes.jacobian), ("hessian", sizes.hessian))
-          for key in ("colind", "row")),
-    ]  # fmt: skip
+        *(
+            _table("int", f"{what}_{key}", np.array(getattr(pattern, key)(), int))
+            for what, pattern in (("jacobian", sizes.jacobian), ("hessian", sizes.hessian))
+            for key in ("colind", "row")
+        ),
+    ]
     return {
-        **sizes.numbers, "name": problem_name(frame.model),
-        "NAME": names.constant(frame.model.name, "ocp"), "TABLES": "\n".join(tables) + "\n",
-        "N_SEGMENTS": len(made.stages), "N_Y": frame.n_y, "STRIDE": part.n_w, "N_ROWS": part.n_g,
-        "N_INTERVALS": part.count, "N_STATES": len(offsets), "N_NODES": method.input_degree + 1,
+        **sizes.numbers,
+        "name": problem_name(frame.model),
+        "NAME": names.constant(frame.model.name, "ocp"),
+        "TABLES": "\n".join(tables) + "\n",
+        "N_SEGMENTS": len(made.stages),
+        "N_Y": frame.n_y,
+        "STRIDE": part.n_w,
+        "N_ROWS": part.n_g,
+        "N_INTERVALS": part.count,
+        "N_STATES": len(offsets),
+        "N_NODES": method.input_degree + 1,
         "N_BLOCK": max(1, *(stage.jacobian.nnz_out(0) for stage in made.stages)),
-    }  # fmt: skip
+    }
 
 
 def _stage_tables(made: Parametric) -> list[str]:
@@ -237,9 +273,10 @@ def _stage_tables(made: Parametric) -> list[str]:
         low, high = (_rows(part, side) for side in (part.row_low, part.row_high))
         lines += [
             _table("double", f"c{k}", part.constants.T.reshape(-1)),
-            _table("double", f"low{k}", low), _table("double", f"high{k}", high),
+            _table("double", f"low{k}", low),
+            _table("double", f"high{k}", high),
             _table("int", f"columns{k}", np.array(stage.jacobian.sparsity_out(0).colind())),
-        ]  # fmt: skip
+        ]
         first, top = nlp.offsets[k]
         numbers = (part.count, part.n_w, part.n_g, part.n_next, len(part.constants), first, top)
         kernels = (_kernel(name, k, p) for p in _PARTS)

@@ -9,11 +9,11 @@ from typing import Any
 import casadi as ca
 
 from .. import version
-from ..exports import names
-from ..exports.files import template
+from ..dae.members import Label
+from ..exports import c_names as names
+from ..exports.folder import template
 from ..exports.header import banner, enum_lines, index_lines
-from ..model import Model
-from ..parts import Label
+from ..model.model import Model
 from .parametric import Parametric
 
 _CODES = (
@@ -60,14 +60,17 @@ def header_text(made: Parametric, sizes: Sizes) -> str:
     model, name = made.frame.model, problem_name(made.frame.model)
     upper = names.constant(name)
     marks: dict[str, Any] = {
-        **sizes.numbers, "name": name, "NAME": upper, "DIGEST": model.digest,
+        **sizes.numbers,
+        "name": name,
+        "NAME": upper,
+        "DIGEST": model.digest,
         "SIZES": "\n".join(enum_lines((f"{upper}_{k}", n, "") for k, n in sizes.numbers.items())),
         "INDICES": "\n".join(_indices(made, name)),
         "LAYOUT": "\n".join(enum_lines(_layout(made, upper))),
         "CODES": "\n".join(enum_lines(_codes(upper, sizes.solver))[1:-1]),
         "STACK": max(100, -(-sizes.stack // 100) * 100 + 500),
         "N_LAM": sizes.numbers["N_W"] + sizes.numbers["N_G"],
-    }  # fmt: skip
+    }
     marks["SHIFT"] = template("ocp_shift.h", marks) if sizes.shifts else ""
     marks["SOLVE"] = template("ocp_solve.h", marks) if sizes.solver else ""
     title = f"{name}.h: an optimal control problem from a measured state"
@@ -93,7 +96,7 @@ def _groups(made: Parametric) -> list[tuple[str, str, tuple[Label, ...]]]:
         ("u", "Inputs that are found: unit, default value.", inputs),
         ("p", "Arguments p: unit, default value.", made.p_labels),
         ("s", "Constants that are found: unit, value at the start of the search.", constants),
-    ]  # fmt: skip
+    ]
 
 
 def _indices(made: Parametric, name: str) -> list[str]:
@@ -126,30 +129,37 @@ def example_text(made: Parametric, sizes: Sizes) -> str:
     lines = [
         banner(made.frame.model, "example.c: the problem where the search starts"),
         f"/* Build and run: cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example */",
-        "#include <stdio.h>", f'#include "{name}.h"', "",
+        "#include <stdio.h>",
+        f'#include "{name}.h"',
+        "",
         f"static double w[{upper}_N_W], g[{upper}_N_G + 1], jacobian[{upper}_NNZ_JAC + 1];",
-    ]  # fmt: skip
+    ]
     if sizes.solver:
         lines += [f"static double work[{upper}_N_WORK];", f"static int iwork[{upper}_N_IWORK];"]
     lines += [
-        "", "int main(void)", "{", "  double f = 0, largest = 0;",
+        "",
+        "int main(void)",
+        "{",
+        "  double f = 0, largest = 0;",
         f"  {name}_defaults(NULL, NULL, w);",
         f"  if ({name}_objective(w, NULL, &f) || {name}_constraints(w, NULL, g)) return 1;",
         f"  if ({name}_jacobian(w, NULL, jacobian)) return 1;",
         f"  for (int k = 0; k < {upper}_NNZ_JAC; ++k) {{",
-        "    if (jacobian[k] > largest) largest = jacobian[k];", "  }",
+        "    if (jacobian[k] > largest) largest = jacobian[k];",
+        "  }",
         '  printf("objective %.17g\\nfirst row %.17g\\nlargest derivative %.17g\\n", f, g[0], '
         "largest);",
-    ]  # fmt: skip
+    ]
     if sizes.solver:
         lines += [
-            f"  double u0[{upper}_N_U + 1] = {{0}};", f"  {name}_stats stats;",
+            f"  double u0[{upper}_N_U + 1] = {{0}};",
+            f"  {name}_stats stats;",
             f"  const int code = {name}_solve(NULL, NULL, 1e-8, 50, w, NULL, u0, &stats, work, "
             "iwork);",
             '  printf("code %d after %d iterations\\ncost %.17g\\nfirst input %.17g\\n", code, '
             "stats.iterations, stats.cost, u0[0]);",
             "  return code;",
-        ]  # fmt: skip
+        ]
     else:
         lines += ["  return 0;"]
     return "\n".join([*lines, "}", ""])
@@ -161,26 +171,45 @@ def card_text(made: Parametric, sizes: Sizes, method: str) -> str:
     n = sizes.numbers
     more = ", solver=True" if sizes.solver else ""
     lines = [
-        f"# {name}", "",
+        f"# {name}",
+        "",
         "An optimal control problem about rigid bodies and 6-DOF spring-dampers, from any measured "
         f"state, written by rbsd_sym {version.VERSION} with `{method}`. Digest `{model.digest}`.",
-        "", f"{n['N_W']} variables, {n['N_G']} rows, {n['NNZ_JAC']} nonzeros of the Jacobian, "
-        f"{n['NNZ_HESS']} of the Hessian.", "", "## Use", "", "```sh",
-        f"cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example", "```", "",
+        "",
+        f"{n['N_W']} variables, {n['N_G']} rows, {n['NNZ_JAC']} nonzeros of the Jacobian, "
+        f"{n['NNZ_HESS']} of the Hessian.",
+        "",
+        "## Use",
+        "",
+        "```sh",
+        f"cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example",
+        "```",
+        "",
         f"`{name}.h` is the contract: functions, sizes, indices with units. A C compiler is needed "
         "to build this, and nothing else; without one, `rs.ocp.optimise` solves the same problem "
-        "in Python. To write this folder again:", "", "```python", "import rbsd_sym as rs",
-        f"rs.ocp.export_problem(problem, rs.ocp.{method}, folder{more})", "```", "",
-    ]  # fmt: skip
+        "in Python. To write this folder again:",
+        "",
+        "```python",
+        "import rbsd_sym as rs",
+        f"rs.ocp.export_problem(problem, rs.ocp.{method}, folder{more})",
+        "```",
+        "",
+    ]
     if sizes.solver:
         lines += [*_loop(name, names.constant(name), sizes.shifts), ""]
     for _, title, labels in _groups(made):
         if labels:
             head, _, rest = title.partition(":")
-            lines += [f"## {head}", "", f"| index | name | {rest.strip(' .').replace(',', ' |')} |",
-                      "|---|---|---|---|"]  # fmt: skip
-            lines += [f"| {i} | `{v.name}` | {v.unit or '1'} | {v.start!r} |"
-                      for i, v in enumerate(labels)]  # fmt: skip
+            lines += [
+                f"## {head}",
+                "",
+                f"| index | name | {rest.strip(' .').replace(',', ' |')} |",
+                "|---|---|---|---|",
+            ]
+            lines += [
+                f"| {i} | `{v.name}` | {v.unit or '1'} | {v.start!r} |"
+                for i, v in enumerate(labels)
+            ]
             lines.append("")
     return "\n".join(lines)
 
@@ -188,14 +217,20 @@ def card_text(made: Parametric, sizes: Sizes, method: str) -> str:
 def _loop(name: str, upper: str, shifts: bool) -> list[str]:
     """The receding horizon in C."""
     return [
-        "## Receding horizon", "", "```c",
+        "## Receding horizon",
+        "",
+        "```c",
         f"{name}_defaults(NULL, p, w); /* and lam begins as zeros */",
         "for (;;) {",
         "  measure(state);",
         f"  code = {name}_solve(state, p, 1e-6, 20, w, lam, u0, &stats, work, iwork);",
         f"  if (code != {upper}_OPTIMAL) judge(code, &stats); /* w is the best known plan */",
         "  apply(u0);",
-        *([f"  {name}_shift(w, lam); /* if an interval has passed by the next call */"]
-          if shifts else []),
-        "}", "```",
-    ]  # fmt: skip
+        *(
+            [f"  {name}_shift(w, lam); /* if an interval has passed by the next call */"]
+            if shifts
+            else []
+        ),
+        "}",
+        "```",
+    ]

@@ -12,11 +12,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..trajectory import Trajectory
+from ..model.trajectory import Trajectory
 from .chain import Chain
-from .frame import Frame
 from .interval import inputs_at, lagrange
 from .mesh import basis, control_nodes
+from .stage import Frame
 
 RTOL = 1e-10
 _ATOL = 1e-12
@@ -52,9 +52,15 @@ class Pilot:
         self.chain, self.frame, self.degree = chain, chain.frame, degree
 
     def fly(
-        self, i: int, nodes: np.ndarray, s: np.ndarray, t0: float, step: float, x: np.ndarray,
+        self,
+        i: int,
+        nodes: np.ndarray,
+        s: np.ndarray,
+        t0: float,
+        step: float,
+        x: np.ndarray,
         z: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    ) -> tuple[np.ndarray, np.ndarray]:
         """States and unknowns at the saved points of an interval after its start, and at its end.
 
         Raises:
@@ -68,8 +74,12 @@ class Pilot:
             if not good:
                 raise FlightFailed("no consistent algebraic unknowns")
             rates = np.array(model.plain.function("ode")(*arguments)).reshape(-1)
-            given = {"calc_ic": False, "init_xdot": [float(step * rate) for rate in rates],
-                     "suppress_algebraic": True, "step0": _FIRST_STEP}  # fmt: skip
+            given = {
+                "calc_ic": False,
+                "init_xdot": [float(step * rate) for rate in rates],
+                "suppress_algebraic": True,
+                "step0": _FIRST_STEP,
+            }
         try:
             with contextlib.redirect_stderr(io.StringIO()):
                 result = self._integrator(i, given)(x0=x, z0=z, p=p)
@@ -100,9 +110,12 @@ class Pilot:
         scale = _SAFETY / math.sqrt(max(1, model.n_x + model.n_z))
         large = model.n_x + model.n_z > _LARGE
         options = {
-            "reltol": RTOL * scale, "abstol": _ATOL * scale, "max_num_steps": 100_000,
-            "linear_solver": "csparse" if large else "qr", **given,
-        }  # fmt: skip
+            "reltol": RTOL * scale,
+            "abstol": _ATOL * scale,
+            "max_num_steps": 100_000,
+            "linear_solver": "csparse" if large else "qr",
+            **given,
+        }
         return ca.integrator("fly", "idas", self._dae, 0.0, grid, options)
 
     @cached_property
@@ -123,6 +136,7 @@ def sizes(frame: Frame, x: np.ndarray) -> np.ndarray:
     """For each state the largest value (n,) of all states with its unit, 1 if that is 0."""
     units = [label.unit for label in frame.model.x_labels]
     top = np.abs(x).max(axis=1)
-    largest = {unit: max(v for v, own in zip(top, units, strict=True) if own == unit)
-               for unit in units}  # fmt: skip
+    largest = {
+        unit: max(v for v, own in zip(top, units, strict=True) if own == unit) for unit in units
+    }
     return np.array([largest[unit] or 1.0 for unit in units])

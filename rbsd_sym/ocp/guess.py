@@ -9,13 +9,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..base.rotation import matrix_xyz, quat_matrix
 from ..integrators.driver import input_values
+from ..model.trajectory import Trajectory
 from ..pipeline import signal_of
-from ..rotation import matrix_xyz, quat_matrix
-from ..trajectory import Trajectory
 from .ends import at_start, start_values
-from .frame import Frame, quaternions
 from .problem import Free
+from .stage import Frame, quaternions
 
 _NEWTON = 30  # steps towards states that meet the conditions at an end
 _DAMPING = 1e-8  # of these steps
@@ -96,8 +96,16 @@ def _towards(frame: Frame, i: int, x: np.ndarray, s: np.ndarray) -> np.ndarray:
     rows = frame.terms[i].end.rows
     if not rows.labels:
         return x
-    symbols = [ca.SX.sym(k, n) for k, n in (("t", 1), ("x", frame.model.n_x),
-               ("z", frame.model.n_z), ("v", frame.n_v), ("s", frame.n_s))]  # fmt: skip
+    symbols = [
+        ca.SX.sym(k, n)
+        for k, n in (
+            ("t", 1),
+            ("x", frame.model.n_x),
+            ("z", frame.model.n_z),
+            ("v", frame.n_v),
+            ("s", frame.n_s),
+        )
+    ]
     value = frame.node(rows.expr)(*symbols)[0]
     both = ca.Function("towards", symbols, [value, ca.jacobian(value, symbols[1])])
     t0, length = frame.span(i, s)
@@ -206,8 +214,11 @@ def _scaled_horizons(frame: Frame, s: np.ndarray, span: float) -> np.ndarray:
 
 def _from_values(frame: Frame, base: Guess, given: Mapping[str, Any]) -> Guess:
     dae = frame.model.dae
-    groups = {"x": dae.x_labels, "z": dae.z_labels,
-              "v": tuple(dae.u_labels[k] for k in frame.controls)}  # fmt: skip
+    groups = {
+        "x": dae.x_labels,
+        "z": dae.z_labels,
+        "v": tuple(dae.u_labels[k] for k in frame.controls),
+    }
     known = {label.name: label.unit for labels in groups.values() for label in labels}
     for name in given:
         if name not in known:

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 
 from .between import Limits
-from .frame import Frame
 from .mesh import Intervals, control_nodes
 from .nlp import StageFunctions
+from .stage import Frame
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..exports.files import Artefact
+from ..exports.folder import Artefact
 from ..exports.load import OPTIMISED, build_folder, labels_of
-from ..model import Model
+from ..model.model import Model
 from .export import PROBLEM
 
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
@@ -56,9 +56,13 @@ class Step(NamedTuple):
 
 
 class _Stats(ctypes.Structure):
-    _fields_ = (("iterations", ctypes.c_int), ("programs", ctypes.c_int),
-                ("cost", ctypes.c_double), ("violation", ctypes.c_double),
-                ("optimality", ctypes.c_double))  # fmt: skip
+    _fields_ = (
+        ("iterations", ctypes.c_int),
+        ("programs", ctypes.c_int),
+        ("cost", ctypes.c_double),
+        ("violation", ctypes.c_double),
+        ("optimality", ctypes.c_double),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +116,16 @@ class ProblemLibrary:
         """Second derivative of weight cost + weights' rows, sparse, both triangles."""
         pattern = self._pattern("hessian", self.sizes["N_W"])
         out = np.zeros(max(1, pattern.nnz()))
-        self._checked(self._call(
-            "hessian", self._given(w, "N_W"), self._given(p, "N_P"), ctypes.c_double(weight),
-            self._given(weights, "N_G"), out,
-        ))  # fmt: skip
+        self._checked(
+            self._call(
+                "hessian",
+                self._given(w, "N_W"),
+                self._given(p, "N_P"),
+                ctypes.c_double(weight),
+                self._given(weights, "N_G"),
+                out,
+            )
+        )
         return ca.DM(pattern, out[: pattern.nnz()])
 
     def inputs(self, w: Any, k: int = 0, tau: float = 0.0) -> np.ndarray:
@@ -137,9 +147,14 @@ class ProblemLibrary:
         return w, lam
 
     def solve(
-        self, state: Any, w: Any, lam: Any = None, p: Any = None, tol: float = 1e-8,
+        self,
+        state: Any,
+        w: Any,
+        lam: Any = None,
+        p: Any = None,
+        tol: float = 1e-8,
         max_iterations: int = 50,
-    ) -> Step:  # fmt: skip
+    ) -> Step:
         """Solve from a state and a guess.
 
         Raises:
@@ -150,11 +165,28 @@ class ProblemLibrary:
         w, u = self._given(w, "N_W"), np.zeros(self.sizes["N_U"])
         lam = np.zeros(n) if lam is None else _sized(lam, n, "lam")
         code = self._call(
-            "solve", self._given(state, "N_X"), self._given(p, "N_P"), ctypes.c_double(tol),
-            ctypes.c_int(max_iterations), w, lam, u, ctypes.byref(stats), *self._memory,
-        )  # fmt: skip
-        return Step(Code(code), w, lam, u, stats.iterations, stats.programs, stats.cost,
-                    stats.violation, stats.optimality)  # fmt: skip
+            "solve",
+            self._given(state, "N_X"),
+            self._given(p, "N_P"),
+            ctypes.c_double(tol),
+            ctypes.c_int(max_iterations),
+            w,
+            lam,
+            u,
+            ctypes.byref(stats),
+            *self._memory,
+        )
+        return Step(
+            Code(code),
+            w,
+            lam,
+            u,
+            stats.iterations,
+            stats.programs,
+            stats.cost,
+            stats.violation,
+            stats.optimality,
+        )
 
     @cached_property
     def _memory(self) -> tuple[np.ndarray, np.ndarray]:
@@ -232,5 +264,6 @@ def load_problem(
     """
     path, manifest = build_folder(source, PROBLEM, "_ocp", model, compiler, flags)
     name, digest = str(manifest["name"]), str(manifest["digest"])
-    return ProblemLibrary(path, name, digest, manifest["sizes"], labels_of(manifest),
-                          tuple(manifest["functions"]))  # fmt: skip
+    return ProblemLibrary(
+        path, name, digest, manifest["sizes"], labels_of(manifest), tuple(manifest["functions"])
+    )

@@ -7,8 +7,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..model import Model
-from ..symbols import TIME, Scalar, is_number, to_expr
+from ..base.symbols import TIME, Scalar, is_number, to_expr
+from ..model.model import Model
 from .problem import Expression
 
 
@@ -31,9 +31,12 @@ class Names:
         self._model = model
         dae = model.dae
         groups = (
-            (dae.x_labels, dae.x), (dae.z_labels, dae.z), (dae.u_labels, dae.u),
-            (dae.p_labels, dae.p), (dae.idle_p_labels, dae.idle_p),
-        )  # fmt: skip
+            (dae.x_labels, dae.x),
+            (dae.z_labels, dae.z),
+            (dae.u_labels, dae.u),
+            (dae.p_labels, dae.p),
+            (dae.idle_p_labels, dae.idle_p),
+        )
         self._scalars = {"t": dae.t}
         for labels, column in groups:
             self._scalars |= {label.name: column[i] for i, label in enumerate(labels)}

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..parts import Label
+from ..dae.members import Label
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +134,12 @@ class Nlp:
         """x0, lbx, ubx, lbg, ubg."""
         rows = {}
         for key, side in (("lbg", "row_low"), ("ubg", "row_high")):
-            rows[key] = np.concatenate([
-                np.tile(np.concatenate([np.zeros(p.n_next), getattr(p, side)]), p.count)
-                for p in self.segments
-            ])  # fmt: skip
+            rows[key] = np.concatenate(
+                [
+                    np.tile(np.concatenate([np.zeros(p.n_next), getattr(p, side)]), p.count)
+                    for p in self.segments
+                ]
+            )
         names = {"x0": "guess", "lbx": "low", "ubx": "high"}
         return {key: self._stacked(name) for key, name in names.items()} | rows
 
@@ -230,12 +232,7 @@ class Nlp:
             if part.n_next:
                 own = ca.vertcat(-own[: part.n_next, :], own[part.n_next :, :])
             hessian = _mapped(part.functions.hessian, part.count)
-            found = hessian(
-                blocks[k],
-                ca.DM(part.constants),
-                ca.repmat(weight, 1, part.count),
-                own,
-            )
+            found = hessian(blocks[k], ca.DM(part.constants), ca.repmat(weight, 1, part.count), own)
             i, j = _pattern(part.functions.hessian.sparsity_out(0))
             shift = first + part.n_w * np.arange(part.count)
             rows.append((i[:, None] + shift).T.reshape(-1))

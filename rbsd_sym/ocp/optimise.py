@@ -10,14 +10,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ..model.trajectory import Outcome as Reached
+from ..model.trajectory import Trajectory
 from ..pipeline import across_reduction
-from ..trajectory import Outcome as Reached
-from ..trajectory import Trajectory
 from .between import Miss
 from .chain import Chain, chained
-from .collocation import Collocation
+from .direct_collocation import Collocation
 from .flight import Flight, FlightFailed
-from .frame import Frame, framed
 from .guess import Guess, from_user
 from .interval import Interval, Method
 from .machine_code import compiled_stage
@@ -29,6 +28,7 @@ from .reasons import between_points, elastic_report, misses
 from .refine import refined
 from .solution import OptimisationError, Raw, Solution
 from .solvers import Answer, Fatrop, Ipopt, Outcome, Progress
+from .stage import Frame, framed
 from .warm import from_solution, warm_start
 
 _STRAYS = 1e-3  # of the size of states, or of a limit: a plan further off is not to be trusted
@@ -126,9 +126,12 @@ class _Search:
             start = from_solution(frame, found.plan, found.chain)
         build = time.perf_counter() - begun - solving - flying
         return found, {
-            "rounds": float(rounds), "iterations": float(iterations), "time": solving,
-            "time_flight": flying, "time_build": build,
-        }  # fmt: skip
+            "rounds": float(rounds),
+            "iterations": float(iterations),
+            "time": solving,
+            "time_flight": flying,
+            "time_build": build,
+        }
 
     def _solved(self, chain: Chain, lam: dict[str, np.ndarray], start: Guess) -> _Found:
         report, spent = "", 0.0
@@ -200,9 +203,7 @@ def _check_freedom(chain: Chain) -> None:
         )
 
 
-def _explained(
-    chain: Chain, solver: Solver, answer: Answer, start: Guess
-) -> tuple[Answer, str]:  # fmt: skip
+def _explained(chain: Chain, solver: Solver, answer: Answer, start: Guess) -> tuple[Answer, str]:
     """Why there is no answer: what is missed if the conditions at the ends may be.
 
     If none needs to be, the problem is tried once more from there.
@@ -214,8 +215,11 @@ def _explained(
         return answer, "; ".join(str(miss) for miss in worst[:2])
     told = elastic_report(loose, second.x)
     if told:
-        failed = answer if answer.outcome is Outcome.infeasible else answer._replace(
-            outcome=Outcome.infeasible)  # fmt: skip
+        failed = (
+            answer
+            if answer.outcome is Outcome.infeasible
+            else answer._replace(outcome=Outcome.infeasible)
+        )
         return failed, f"at best {'; '.join(told[:3])}"
     near = from_solution(chain.frame, read(loose, second.x), loose)
     again = chained(chain.frame, chain.intervals, chain.mesh, near)
@@ -249,20 +253,33 @@ def _solution(
     values = [float(value) for value in frame.parameters(plan.s)]
     functions = chain.nlp.functions
     stats |= {
-        "variables": float(chain.nlp.n), "equations": float(chain.nlp.m),
-        "nonzeros": float(functions["nlp_jac_g"].nnz_out(1)), "solver": answer.message,
-    }  # fmt: skip
+        "variables": float(chain.nlp.n),
+        "equations": float(chain.nlp.m),
+        "nonzeros": float(functions["nlp_jac_g"].nnz_out(1)),
+        "solver": answer.message,
+    }
     edges = np.concatenate([plan.legs[0].t, *(leg.t[1:] for leg in plan.legs[1:])])
     between = between_points(chain, answer.x, plan, method.input_degree) if outcome.ok else ()
     raw = Raw(chain.mesh, answer, method.input_degree, plan, chain)
     return Solution(
-        problem, frame.model, path, pieces(plan),
+        problem,
+        frame.model,
+        path,
+        pieces(plan),
         tuple(float(v) for v in frame.durations(plan.s)),
         {label.name: v for label, v in zip(labels, values, strict=True)},
-        edges, answer.cost, outcome, report, found.errors, found.flight, between,
-        multipliers(chain, answer), stats,
-        (*frame.notes, *_strays(found.flight), *_beyond(between)), raw,
-    )  # fmt: skip
+        edges,
+        answer.cost,
+        outcome,
+        report,
+        found.errors,
+        found.flight,
+        between,
+        multipliers(chain, answer),
+        stats,
+        (*frame.notes, *_strays(found.flight), *_beyond(between)),
+        raw,
+    )
 
 
 def _strays(flight: Flight | None) -> list[str]:

@@ -13,15 +13,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..parts import Label
+from ..dae.members import Label
 from .chain import Chain, chained
-from .frame import Frame, framed
 from .guess import from_conditions, from_user
 from .interval import Method
 from .mesh import meshes
 from .nlp import StageFunctions
 from .problem import Free, Phase, Problem
 from .solution import Solution
+from .stage import Frame, framed
 from .warm import warm_start
 
 _LONG = 60_000  # instructions, above which calls stay calls
@@ -74,9 +74,10 @@ def parametric(problem: Problem, method: Method, guess: Any = None) -> Parametri
     own, wide = framed(fixed), framed(_widened(fixed, first))
     mesh = meshes(method.intervals, own.n_phases)
     start = (
-        warm_start(own, guess, mesh, method.input_degree)[0] if isinstance(guess, Solution)
+        warm_start(own, guess, mesh, method.input_degree)[0]
+        if isinstance(guess, Solution)
         else from_user(own, guess)
-    )  # fmt: skip
+    )
     chain = _chain(own, method, mesh, start)
     extended = _chain(wide, method, mesh, from_conditions(wide))
     stages = _Lowering(wide, {label.name for label in own.s_labels})
@@ -92,9 +93,11 @@ def _flat(stage: StageFunctions) -> StageFunctions:
     """Without calls, which take most of the time in C; where CasADi can, and it stays short."""
     try:
         found = StageFunctions(
-            stage.value.expand(), stage.jacobian.expand(), stage.gradient.expand(),
+            stage.value.expand(),
+            stage.jacobian.expand(),
+            stage.gradient.expand(),
             stage.hessian.expand(),
-        )  # fmt: skip
+        )
     except RuntimeError:  # an integrator with steps of its own
         return stage
     return found if found.hessian.n_instructions() < _LONG else stage
@@ -177,9 +180,7 @@ def _without(n: int, taken: Sequence[int]) -> list[int]:
     return [k for k in range(n) if k not in out]
 
 
-def _placed(
-    kind: Any, n: int, kept: Sequence[int], a: Any, taken: Sequence[int], b: Any
-) -> Any:  # fmt: skip
+def _placed(kind: Any, n: int, kept: Sequence[int], a: Any, taken: Sequence[int], b: Any) -> Any:
     """The column with a at the places kept and b at those taken."""
     if not n:
         return kind(0, 1)

@@ -9,8 +9,8 @@ from typing import Any, Union
 
 import numpy as np
 
-from ..model import Model
-from ..symbols import Scalar, is_number
+from ..base.symbols import Scalar, is_number
+from ..model.model import Model
 
 Expression = Union[float, Scalar, str, Callable[[Any], Any]]
 """A number, an expression of Inputs, Params and TIME, the name of a scalar quantity, or a function

@@ -9,12 +9,12 @@ import casadi as ca
 import numpy as np
 
 from ..integrators.driver import Run, assemble, settle
-from ..trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Experiment, Outcome, Trajectory
 from .chain import Chain
 from .flight import Flight, Pilot, sizes
-from .frame import Frame
 from .solution import Pieces
 from .solvers import Answer
+from .stage import Frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +63,15 @@ def read(chain: Chain, x: np.ndarray) -> Plan:
         found = interval.dense.map(part.count)(own[:size], part.constants)
         saved = (mesh[:-1, None] + np.diff(mesh)[:, None] * interval.saved).reshape(-1)
         count = sum(kind == "u" for kind, _ in interval.variables) * frame.n_v
-        legs.append(Leg(
-            t0 + length * mesh,
-            np.hstack([own[: frame.model.n_x], x_end]),
-            own[frame.n_y : frame.n_y + count].T.copy(),
-            t0 + length * saved,
-            *(np.array(ca.DM(value)) for value in found),
-        ))  # fmt: skip
+        legs.append(
+            Leg(
+                t0 + length * mesh,
+                np.hstack([own[: frame.model.n_x], x_end]),
+                own[frame.n_y : frame.n_y + count].T.copy(),
+                t0 + length * saved,
+                *(np.array(ca.DM(value)) for value in found),
+            )
+        )
     return Plan(frame, s, tuple(legs))
 
 
@@ -159,9 +161,13 @@ def _last_inputs(plan: Plan, i: int) -> np.ndarray:
 
 
 def _compared(
-    frame: Frame, flight: Trajectory, plan: Plan, legs: list[Any], planned: list[Any],
+    frame: Frame,
+    flight: Trajectory,
+    plan: Plan,
+    legs: list[Any],
+    planned: list[Any],
     size: np.ndarray,
-) -> Flight:  # fmt: skip
+) -> Flight:
     found = (0.0, frame.model.x_labels[0].name, float(plan.legs[0].t[0]))
     for leg, (x, _), own in zip(plan.legs, legs, planned, strict=True):
         gap = np.abs(x - own) / size

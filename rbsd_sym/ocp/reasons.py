@@ -41,9 +41,8 @@ def _miss(chain: Chain, s: np.ndarray, k: int, kind: int, value: float, bound: f
 
 
 def _at(
-    chain: Chain, s: np.ndarray, j: int, stage: int, row: int, kind: int, value: float,
-    bound: float,
-) -> Miss:  # fmt: skip
+    chain: Chain, s: np.ndarray, j: int, stage: int, row: int, kind: int, value: float, bound: float
+) -> Miss:
     """A miss of a variable (kind 0) or row (1) of a stage of segment j."""
     part = chain.nlp.segments[j]
     label = (part.rows if kind else part.variables)[row]
@@ -102,8 +101,16 @@ def between_points(chain: Chain, x: np.ndarray, plan: Plan, degree: int) -> tupl
             value, label = float(values[k, j]), limit.labels[k]
             bound = float(limit.low[k] if value < limit.low[k] else limit.high[k])
             phase = f"phase {i}, " if chain.frame.n_phases > 1 else ""
-            found.append(Miss(f"{phase}path '{label.name}'", float(t[j]), value, bound, label.unit,
-                              float(gap[k, j])))  # fmt: skip
+            found.append(
+                Miss(
+                    f"{phase}path '{label.name}'",
+                    float(t[j]),
+                    value,
+                    bound,
+                    label.unit,
+                    float(gap[k, j]),
+                )
+            )
     return tuple(sorted(found, key=lambda miss: -miss.relative))
 
 

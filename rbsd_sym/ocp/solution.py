@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..model import Model
-from ..trajectory import Trajectory
+from ..model.model import Model
+from ..model.trajectory import Trajectory
 from .between import Miss
 from .flight import Flight
 from .mesh import basis, control_nodes

@@ -33,9 +33,7 @@ class Outcome(Enum):
     @property
     def ok(self) -> bool:
         """Whether there is a plan that meets the conditions."""
-        return self in (
-            Outcome.optimal, Outcome.acceptable, Outcome.unstable_across_reduction
-        )  # fmt: skip
+        return self in (Outcome.optimal, Outcome.acceptable, Outcome.unstable_across_reduction)
 
 
 class Iteration(NamedTuple):
@@ -97,20 +95,26 @@ class Ipopt:
     max_iterations: int = 500
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    def solve(
-        self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None
-    ) -> Answer:  # fmt: skip
+    def solve(self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None) -> Answer:
         """Solve from `start`: x0, and lam_x0, lam_g0 for a warm start."""
         warm = "lam_g0" in start
         own = {
-            "print_level": 0, "sb": "yes", "tol": self.tol, "max_iter": self.max_iterations,
+            "print_level": 0,
+            "sb": "yes",
+            "tol": self.tol,
+            "max_iter": self.max_iterations,
             "bound_relax_factor": 0.0,
-        }  # fmt: skip
+        }
         if warm:
-            own |= {"warm_start_init_point": "yes", "mu_init": 1e-6,
-                    "warm_start_bound_push": 1e-9, "warm_start_mult_bound_push": 1e-9,
-                    "warm_start_slack_bound_push": 1e-9,
-                    "warm_start_slack_bound_frac": 1e-9, "warm_start_bound_frac": 1e-9}  # fmt: skip
+            own |= {
+                "warm_start_init_point": "yes",
+                "mu_init": 1e-6,
+                "warm_start_bound_push": 1e-9,
+                "warm_start_mult_bound_push": 1e-9,
+                "warm_start_slack_bound_push": 1e-9,
+                "warm_start_slack_bound_frac": 1e-9,
+                "warm_start_bound_frac": 1e-9,
+            }
         functions = dict(nlp.functions)
         hess = functions["nlp_hess_l"]
         symbols = hess.mx_in()
@@ -136,9 +140,7 @@ class Fatrop:
     max_iterations: int = 500
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    def solve(
-        self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None
-    ) -> Answer:  # fmt: skip
+    def solve(self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None) -> Answer:
         """Solve from `start`: x0.
 
         Raises:
@@ -154,18 +156,27 @@ class Fatrop:
         symbols = hess.mx_in()
         gradient = functions["nlp_grad"](*symbols)[2]
         functions["nlp_hess_l"] = ca.Function(
-            "nlp_hess_l", symbols, [gradient, hess(*symbols)], hess.name_in(),
+            "nlp_hess_l",
+            symbols,
+            [gradient, hess(*symbols)],
+            hess.name_in(),
             ["grad_gamma_x", "hess_gamma_x_x"],
-        )  # fmt: skip
+        )
         functions["nlp_grad_f"] = ca.Function(
-            "nlp_grad_f", symbols[:2], [functions["nlp_grad_f"](*symbols[:2])[1]], ["x", "p"],
+            "nlp_grad_f",
+            symbols[:2],
+            [functions["nlp_grad_f"](*symbols[:2])[1]],
+            ["x", "p"],
             ["grad_f_x"],
-        )  # fmt: skip
-        options = {"fatrop": own | dict(self.options), "structure_detection": "manual",
-                   **nlp.structure}  # fmt: skip
+        )
+        options = {
+            "fatrop": own | dict(self.options),
+            "structure_detection": "manual",
+            **nlp.structure,
+        }
         return _called(
             nlp, "fatrop", functions, options, {**_inside(nlp), **start}, None, _fatrop_outcome
-        )  # fmt: skip
+        )
 
 
 def _inside(nlp: Nlp) -> dict[str, np.ndarray]:
@@ -173,8 +184,10 @@ def _inside(nlp: Nlp) -> dict[str, np.ndarray]:
     bounds, found = nlp.bounds, {}
     for key in ("x", "g"):
         low, high = bounds[f"lb{key}"], bounds[f"ub{key}"]
-        room = [_RELAXED * np.maximum(1.0, np.abs(np.nan_to_num(side, posinf=0, neginf=0)))
-                for side in (low, high)]  # fmt: skip
+        room = [
+            _RELAXED * np.maximum(1.0, np.abs(np.nan_to_num(side, posinf=0, neginf=0)))
+            for side in (low, high)
+        ]
         open_ = high - low > 4 * (room[0] + room[1])
         found[f"lb{key}"] = np.where(open_, low + room[0], low)
         found[f"ub{key}"] = np.where(open_, high - room[1], high)
@@ -182,13 +195,22 @@ def _inside(nlp: Nlp) -> dict[str, np.ndarray]:
 
 
 def _called(
-    nlp: Nlp, plugin: str, functions: dict[str, ca.Function], options: dict[str, Any],
-    start: Mapping[str, np.ndarray], progress: Progress | None, judge: Callable[[Any], Outcome],
-) -> Answer:  # fmt: skip
+    nlp: Nlp,
+    plugin: str,
+    functions: dict[str, ca.Function],
+    options: dict[str, Any],
+    start: Mapping[str, np.ndarray],
+    progress: Progress | None,
+    judge: Callable[[Any], Outcome],
+) -> Answer:
     whole = functions.pop("nlp")
     follower = _Follower(nlp, progress) if progress else None
-    own = options | {"print_time": False, "error_on_fail": False, "cache": functions,
-                     "calc_lam_p": False}  # fmt: skip
+    own = options | {
+        "print_time": False,
+        "error_on_fail": False,
+        "cache": functions,
+        "calc_lam_p": False,
+    }
     if follower:
         own["iteration_callback"] = follower
     arguments = {**nlp.bounds, **start}
@@ -220,9 +242,15 @@ def _called(
     if outcome.ok and not np.isfinite(found["x"]).all():
         outcome = Outcome.not_finite
     return Answer(
-        found["x"], float(found["f"][0]), found["lam_x"], found["lam_g"], outcome,
-        f"{plugin}: {status}", int(stats.get("iter_count", 0)), seconds,
-    )  # fmt: skip
+        found["x"],
+        float(found["f"][0]),
+        found["lam_x"],
+        found["lam_g"],
+        outcome,
+        f"{plugin}: {status}",
+        int(stats.get("iter_count", 0)),
+        seconds,
+    )
 
 
 def _ipopt_outcome(status: Any) -> Outcome:
@@ -254,15 +282,18 @@ class _Follower(ca.Callback):
         return str(ca.nlpsol_out(i))
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        sizes = {"f": 1, "x": self.nlp.n, "lam_x": self.nlp.n, "g": self.nlp.m,
-                 "lam_g": self.nlp.m}  # fmt: skip
+        sizes = {"f": 1, "x": self.nlp.n, "lam_x": self.nlp.n, "g": self.nlp.m, "lam_g": self.nlp.m}
         return ca.Sparsity.dense(sizes.get(ca.nlpsol_out(i), 0), 1)
 
     def eval(self, arg: list[ca.DM]) -> list[int]:
         found = dict(zip(ca.nlpsol_out(), (np.array(a).reshape(-1) for a in arg), strict=True))
         bounds = self.bounds
-        gaps = [bounds["lbg"] - found["g"], found["g"] - bounds["ubg"],
-                bounds["lbx"] - found["x"], found["x"] - bounds["ubx"]]  # fmt: skip
+        gaps = [
+            bounds["lbg"] - found["g"],
+            found["g"] - bounds["ubg"],
+            bounds["lbx"] - found["x"],
+            found["x"] - bounds["ubx"],
+        ]
         violation = max((float(gap.max(initial=0.0)) for gap in gaps), default=0.0)
         cost = float(found["f"][0])
         try:

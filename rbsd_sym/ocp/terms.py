@@ -10,10 +10,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .. import checks
-from ..model import Model
-from ..parts import Label, pick
-from ..rotation import matrix_quat, quat_conjugate, quat_product
+from ..base import checks
+from ..base.rotation import matrix_quat, quat_conjugate, quat_product
+from ..dae.members import Label, pick
+from ..model.model import Model
 from .names import Names, trace
 from .problem import Bound, Free, Phase, Problem
 
@@ -121,9 +121,7 @@ class _Still:
         return ca.substitute(expr, self._symbols, self._numbers)
 
 
-def _conditions(
-    at_rest: _Still, names: Names, given: Mapping[str, Any], where: str
-) -> Conditions:  # fmt: skip
+def _conditions(at_rest: _Still, names: Names, given: Mapping[str, Any], where: str) -> Conditions:
     model = at_rest.model
     states = {label.name for label in model.x_labels}
     boxed = set(states)
@@ -200,7 +198,7 @@ def _limits(
                 f"{where}: {value!r}; give a number, an array of shape {shape}, a pair (low, high) "
                 "with None for no bound, or a Bound"
             ) from error
-        if array.shape not in ((), shape) or (not pair and array.shape != shape):  # fmt: skip
+        if array.shape not in ((), shape) or (not pair and array.shape != shape):
             raise ValueError(
                 f"{where}: shape {array.shape}; the quantity has shape {shape}; a pair (low, high) "
                 "bounds every component"

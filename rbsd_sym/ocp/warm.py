@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from .chain import Chain
-from .frame import Frame
 from .guess import Guess
 from .reading import Plan, pieces
 from .solution import Solution
+from .stage import Frame
 
 
 def from_solution(frame: Frame, plan: Plan, chain: Chain) -> Guess:
@@ -35,10 +35,15 @@ def from_solution(frame: Frame, plan: Plan, chain: Chain) -> Guess:
         mesh = chain.mesh[i]
         k = np.clip(np.searchsorted(mesh, at, side="right") - 1, 0, len(mesh) - 2)
         tau = (at - mesh[k]) / (mesh[k + 1] - mesh[k])
-        return np.array([
-            [float(piece.at(before + int(a), [float(b)])[0]) for a, b in zip(k, tau, strict=True)]
-            for piece in own
-        ]).reshape(len(own), len(at))  # fmt: skip
+        return np.array(
+            [
+                [
+                    float(piece.at(before + int(a), [float(b)])[0])
+                    for a, b in zip(k, tau, strict=True)
+                ]
+                for piece in own
+            ]
+        ).reshape(len(own), len(at))
 
     return Guess(plan.s, x, z, v)
 
@@ -58,9 +63,11 @@ def warm_start(
     raw = earlier.raw
     names = [label.name for label in frame.model.x_labels]
     theirs = [label.name for label in earlier.model.x_labels]
-    if names != theirs or raw.plan.frame.n_phases != frame.n_phases or (
-        len(raw.plan.s) != frame.n_s or raw.plan.frame.controls != frame.controls
-    ):  # fmt: skip
+    if (
+        names != theirs
+        or raw.plan.frame.n_phases != frame.n_phases
+        or (len(raw.plan.s) != frame.n_s or raw.plan.frame.controls != frame.controls)
+    ):
         raise ValueError(
             f"guess: the solution of '{earlier.trajectory.name}' has other states, Inputs, free "
             "constants or phases than this problem; give its trajectory instead"

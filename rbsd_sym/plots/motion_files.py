@@ -87,10 +87,16 @@ def write_gif(
     )
     ticks = np.round(np.arange(count + 1) * 100 / fps).astype(int)
     first.save(
-        file, "GIF", save_all=True, append_images=rest, loop=0,
-        duration=[int(v) * 10 for v in np.diff(ticks)], transparency=_COLOURS, disposal=1,
+        file,
+        "GIF",
+        save_all=True,
+        append_images=rest,
+        loop=0,
+        duration=[int(v) * 10 for v in np.diff(ticks)],
+        transparency=_COLOURS,
+        disposal=1,
         optimize=False,
-    )  # fmt: skip
+    )
 
 
 def write_page(
@@ -104,13 +110,18 @@ def write_page(
     """Pictures in one HTML page with a player; it loads nothing from elsewhere."""
     height, width = palette.still.shape
     data = {
-        "fps": fps, "clocks": list(clocks), "still": palette.png(palette.still),
+        "fps": fps,
+        "clocks": list(clocks),
+        "still": palette.png(palette.still),
         "frames": [palette.png(palette.indices(picture), palette.still) for picture in pictures],
-    }  # fmt: skip
+    }
     words = {
-        "TITLE": html.escape(title), "LAST": str(len(clocks) - 1), "WIDTH": str(width),
-        "HEIGHT": str(height), "DATA": json.dumps(data).replace("<", "\\u003c"),
-    }  # fmt: skip
+        "TITLE": html.escape(title),
+        "LAST": str(len(clocks) - 1),
+        "WIDTH": str(width),
+        "HEIGHT": str(height),
+        "DATA": json.dumps(data).replace("<", "\\u003c"),
+    }
     page = re.sub("TITLE|LAST|WIDTH|HEIGHT|DATA", lambda match: words[match[0]], _PAGE)
     file.write(page.encode())
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..trajectory import Column
+    from ..model.trajectory import Column
 
 AXES = ("#D55E00", "#009E73", "#0072B2")  # x, y, z
 ARROW = "#000000"  # with a white rim, seen before any colour
@@ -32,7 +32,7 @@ _BEHIND = 0.35  # opacity of a spring behind a box
 _LIGHT = (-0.55, 0.78, 0.3)  # to the right of the picture, up, and towards the eye
 
 
-class Piece(NamedTuple):
+class Polyline(NamedTuple):
     """A line in space (k, 3) and how it is drawn."""
 
     points: np.ndarray
@@ -40,13 +40,14 @@ class Piece(NamedTuple):
     width: float
     opacity: float = 1.0
 
-    def cut(self, dim: np.ndarray) -> list[Piece]:
+    def cut(self, dim: np.ndarray) -> list[Polyline]:
         """Parts that are hidden and parts that are not; `dim` tells it of each segment."""
         at = [0, *(np.flatnonzero(dim[1:] != dim[:-1]) + 1), len(dim)]
         return [
             self._replace(points=self.points[i : j + 1], opacity=_BEHIND if dim[i] else 1.0)
-            for i, j in pairwise(at) if j > i
-        ]  # fmt: skip
+            for i, j in pairwise(at)
+            if j > i
+        ]
 
 
 class Stage:
@@ -105,13 +106,13 @@ class Stage:
         sheet = np.array([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)]) @ self.level.T
         self.panel.add_patch(Polygon(self.camera.screen(sheet), fc="#F6F6F4", ec="none", zorder=0))
         self.panel.add_collection(
-            LineCollection(list(flat), colors="#DADAD6", linewidths=0.7, zorder=0.5),
-            autolim=False,
+            LineCollection(list(flat), colors="#DADAD6", linewidths=0.7, zorder=0.5), autolim=False
         )
         notes = [f"grid {step:g} m"]
         notes += [f"longest arrow {size:.3g} {unit}" for unit, size in self.track.largest.items()]
-        self.figure.text(0.985 * self.share, 0.025, " · ".join(notes), ha="right", fontsize=8,
-                         color="#555555")  # fmt: skip
+        self.figure.text(
+            0.985 * self.share, 0.025, " · ".join(notes), ha="right", fontsize=8, color="#555555"
+        )
 
     def _add_artists(self, name: str) -> None:
         from matplotlib.collections import LineCollection, PolyCollection
@@ -131,9 +132,13 @@ class Stage:
         )
         self.figure.text(0.02 * self.share, 0.945, name, fontsize=11, weight="bold")
         self.clock = self.figure.text(
-            (0.83 if self.track.kinetic is not None else 0.97) * self.share, 0.945, "",
-            fontsize=11, ha="right", family="monospace",
-        )  # fmt: skip
+            (0.83 if self.track.kinetic is not None else 0.97) * self.share,
+            0.945,
+            "",
+            fontsize=11,
+            ha="right",
+            family="monospace",
+        )
 
     def _draw_triad(self) -> None:
         """World axes, in the lower left corner."""
@@ -166,8 +171,15 @@ class Stage:
         (high,) = panel.bar(
             [0.5], [0], 1, color=COLOURS[6], hatch="///", ec="#FFFFFF", lw=0, label="potential"
         )
-        panel.legend(loc="lower right", bbox_to_anchor=(1.35, 1.0), fontsize=7, frameon=False,
-                     handlelength=1, borderpad=0.1, reverse=True)  # fmt: skip
+        panel.legend(
+            loc="lower right",
+            bbox_to_anchor=(1.35, 1.0),
+            fontsize=7,
+            frameon=False,
+            handlelength=1,
+            borderpad=0.1,
+            reverse=True,
+        )
         return low, high
 
     def _draw_column(self, name: str, t: np.ndarray, column: Column) -> Any:
@@ -192,8 +204,14 @@ class Stage:
         if np.ptp(values) < 1e-12 * max(1.0, float(np.abs(values).max())):
             panel.set_ylim(float(values.mean()) - 1, float(values.mean()) + 1)
         if 1 < many <= 9:
-            panel.legend(fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0),
-                         frameon=False, handlelength=2.2)  # fmt: skip
+            panel.legend(
+                fontsize=7,
+                ncols=3,
+                loc="lower right",
+                bbox_to_anchor=(1.0, 1.0),
+                frameon=False,
+                handlelength=2.2,
+            )
         return panel.axvline(t[0], color="#666666", lw=1.2)
 
     @property
@@ -246,11 +264,11 @@ class Stage:
         self.boxes.set_edgecolor(np.array(rims).reshape(-1, 3))
         local = points @ self.level
         local[..., 2] = self.floor
-        self.shadows.set_verts(list(self.camera.screen(
-            (local @ self.level.T)[:, FACES].reshape(-1, 4, 3)
-        )))  # fmt: skip
+        self.shadows.set_verts(
+            list(self.camera.screen((local @ self.level.T)[:, FACES].reshape(-1, 4, 3)))
+        )
 
-    def _pieces(self, k: int) -> list[Piece]:
+    def _pieces(self, k: int) -> list[Polyline]:
         """Springs and marker axes, cut where they go behind a box."""
         track, whole = self.track, []
         for i, diameter in enumerate(track.diameters):
@@ -258,10 +276,10 @@ class Stage:
             path, colour = spring(ends[0], ends[1], turns[0][:, 2], diameter), track.colours[i]
             dashes = [path[j : j + 3] for j in range(0, len(path) - 1, 4)]  # of one that sleeps
             every = [path] if track.active[i] else dashes
-            whole += [Piece(dash, tuple(colour), 1.1) for dash in every]
+            whole += [Polyline(dash, tuple(colour), 1.1) for dash in every]
             for place, turn in zip(ends, turns, strict=True):
                 whole += [
-                    Piece(np.array([place, place + 0.9 * diameter * axis]), _rgb(name), 1.5)
+                    Polyline(np.array([place, place + 0.9 * diameter * axis]), _rgb(name), 1.5)
                     for axis, name in zip(turn.T, AXES, strict=True)
                 ]
         if not whole:

@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..elements import GROUND, Marker
-from ..model import Model
-from ..symbols import TIME, Leaf, leaves_of, to_expr
-from ..trajectory import Column, Trajectory
+from ..base.symbols import TIME, Leaf, leaves_of, to_expr
+from ..model.model import Model
+from ..model.trajectory import Column, Trajectory
+from ..scene.elements import GROUND, Marker
 from .shapes import BodyDrawing, Drawing, box_of_inertia, corners, quaternion_matrix
 
 _CUBE = 0.04  # edge of a body without inertia, over the scene's extent
@@ -130,9 +130,14 @@ class Track:
         p = corners(self.boxes.p, self.boxes.R, self.edges)
         reach = np.repeat(self.diameters, 2)[:, None] / 2
         return np.concatenate(
-            [p.reshape(len(self.t), -1, 3), self.ends.p + reach, self.ends.p - reach,
-             *(np.stack([tails, tips], 1) for _, tails, tips in self.shafts)], axis=1,
-        )  # fmt: skip
+            [
+                p.reshape(len(self.t), -1, 3),
+                self.ends.p + reach,
+                self.ends.p - reach,
+                *(np.stack([tails, tips], 1) for _, tails, tips in self.shafts),
+            ],
+            axis=1,
+        )
 
     @property
     def largest(self) -> dict[str, float]:
@@ -144,8 +149,10 @@ class Track:
     def shafts(self) -> list[tuple[str, np.ndarray, np.ndarray]]:
         """Unit, tails and tips (n, 3) of the arrows."""
         longest = self.largest
-        return [(unit, tails, tails + vectors * _ARROW * self.extent / longest[unit])
-                for _, unit, tails, vectors in self.arrows]  # fmt: skip
+        return [
+            (unit, tails, tails + vectors * _ARROW * self.extent / longest[unit])
+            for _, unit, tails, vectors in self.arrows
+        ]
 
 
 def track(drawing: Drawing, source: Source, t: np.ndarray) -> Track:
@@ -154,8 +161,11 @@ def track(drawing: Drawing, source: Source, t: np.ndarray) -> Track:
     poses[GROUND] = (np.zeros((len(t), 3)), np.broadcast_to(np.eye(3), (len(t), 3, 3)))
     bodies = [body for body in drawing.bodies if body.show]
     connectors = [c for c in drawing.connectors if c.show]
-    every = [_frame(m, j, poses, source, t)
-             for c in connectors for m, j in zip(c.markers, c.turned, strict=True)]  # fmt: skip
+    every = [
+        _frame(m, j, poses, source, t)
+        for c in connectors
+        for m, j in zip(c.markers, c.turned, strict=True)
+    ]
     ends = _places(every, len(t))
     boxes, edges = _boxes(bodies, poses, source, t)
     arrows = _arrows(drawing, poses, source, t)
@@ -170,12 +180,21 @@ def track(drawing: Drawing, source: Source, t: np.ndarray) -> Track:
     size = float(np.linalg.norm(gravity))
     kinetic, potential = _energies(drawing, source, t)
     return Track(
-        t, boxes, edges, np.array([b.color for b in bodies]).reshape(-1, 3), ends,
+        t,
+        boxes,
+        edges,
+        np.array([b.color for b in bodies]).reshape(-1, 3),
+        ends,
         np.array([m.body == GROUND for c in connectors for m in c.markers], bool),
-        np.array(diameters, float), np.array([c.color for c in connectors]).reshape(-1, 3),
-        np.array([c.active for c in connectors], bool), arrows, extent,
-        -gravity / size if size else np.array([0.0, 0.0, 1.0]), kinetic, potential,
-    )  # fmt: skip
+        np.array(diameters, float),
+        np.array([c.color for c in connectors]).reshape(-1, 3),
+        np.array([c.active for c in connectors], bool),
+        arrows,
+        extent,
+        -gravity / size if size else np.array([0.0, 0.0, 1.0]),
+        kinetic,
+        potential,
+    )
 
 
 def _pose(body: str, source: Source, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -217,9 +236,7 @@ def _boxes(
     return _places(frames, len(t)), np.array(edges).reshape(-1, 3)
 
 
-def _extent(
-    boxes: Places, edges: np.ndarray, ends: Places, tails: list[np.ndarray]
-) -> float:  # fmt: skip
+def _extent(boxes: Places, edges: np.ndarray, ends: Places, tails: list[np.ndarray]) -> float:
     p = corners(boxes.p, boxes.R, edges).reshape(-1, 3)
     everything = np.vstack([p, ends.p.reshape(-1, 3), *tails])
     return float(np.ptp(everything, axis=0).max()) or 1.0

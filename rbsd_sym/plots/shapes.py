@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..elements import Load, Marker, RigidBody, RigidBodySpringDamper
-from ..scene import Scene
+from ..scene.elements import Load, Marker, RigidBody, RigidBodySpringDamper
+from ..scene.scene import Scene
 from .style import COLOURS
 
 FILLS = tuple(colour for colour in COLOURS if colour != "#000000")  # a black box has no shades

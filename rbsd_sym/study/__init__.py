@@ -28,11 +28,11 @@ nothing about the point, and the next call with the same file runs that point ag
 
 from .contenders import contenders
 from .domain import domain
-from .precision import Reference, converged, work_precision
 from .recommend import Recommendation, recommend
-from .stability import stability_map
+from .stability_map import stability_map
 from .sweep import sweep
-from .table import Table
+from .table import ResultTable as Table
+from .work_precision import Reference, converged, work_precision
 
 __all__ = [
     "Recommendation",

@@ -5,16 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ..integrators import (
-    RK4,
-    Collocation,
-    Dop853,
-    ExplicitRK,
-    GeneralizedAlpha,
-    Idas,
-    Rosenbrock,
-)
-from ..model import Model
+from ..integrators import RK4, Collocation, Dop853, ExplicitRK, GeneralizedAlpha, Idas, Rosenbrock
+from ..model.model import Model
 
 _TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 _ABSOLUTE = 1e-2  # absolute tolerance, relative to the relative one
@@ -22,9 +14,9 @@ _STEPS = (100, 400, 1600, 6400)  # in the run, of methods with fixed steps
 _FEW = 60  # states, above which methods that take long in Python are left out
 
 
-def contenders(model: Model, t_end: float, tolerances: Sequence[float] = _TOLERANCES) -> dict[
-    str, list[Any]
-]:  # fmt: skip
+def contenders(
+    model: Model, t_end: float, tolerances: Sequence[float] = _TOLERANCES
+) -> dict[str, list[Any]]:
     """Integrators by name, for `work_precision`: those that can take the model.
 
     Fixed steps cut the run into 100 to 6400; explicit methods are left out where the model has

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..laws import Standard
-from ..model import Model
-from ..trajectory import Trajectory
-from .table import Table
+from ..model.model import Model
+from ..model.trajectory import Trajectory
+from ..scene.scene import Scene
+from .table import ResultTable
 
 _MARGIN = 5.0  # deg, from the limit, within which it is told
 _VECTOR = "turn the joint frames so that rest is at zero, or keep the angle below 180 deg"
@@ -28,7 +29,7 @@ class _Limit(NamedTuple):
     remedy: str
 
 
-def domain(model: Model, trajectory: Trajectory, margin: float = _MARGIN) -> Table:
+def domain(model: Model, trajectory: Trajectory, margin: float = _MARGIN) -> ResultTable:
     """Angles of connectors and bodies that came near a limit, or went through it.
 
     The limits: the rotation vector of `Intrinsic` and `Consistent` jumps at 180 degrees; `Standard`
@@ -40,20 +41,23 @@ def domain(model: Model, trajectory: Trajectory, margin: float = _MARGIN) -> Tab
         margin: deg; what stayed further away from its limit is left out.
 
     Returns:
-        Table: where, angle, limit (deg), nearest (deg), t (s) of the nearest or of the first
+        ResultTable: where, angle, limit (deg), nearest (deg), t (s) of the nearest or of the first
             passage, crossed, remedy.
 
     Raises:
         ValueError: the model was not compiled from a scene.
     """
-    rows = [row for limit in _limits(model, trajectory)
-            if (row := _row(limit, trajectory.t))[3] >= row[2] - margin]  # fmt: skip
+    rows = [
+        row
+        for limit in _limits(model, trajectory)
+        if (row := _row(limit, trajectory.t))[3] >= row[2] - margin
+    ]
     columns = ("where", "angle", "limit", "nearest", "t", "crossed", "remedy")
-    return Table(columns, ("", "", "deg", "deg", "s", "", ""), tuple(rows))
+    return ResultTable(columns, ("", "", "deg", "deg", "s", "", ""), tuple(rows))
 
 
 def _limits(model: Model, trajectory: Trajectory) -> list[_Limit]:
-    if model.scene is None:
+    if not isinstance(model.scene, Scene):
         raise ValueError(
             f"model '{model.name}': no scene to look at; make it by compile_scene(scene)"
         )

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..model import Model
+from ..model.model import Model
+from ..model.trajectory import Experiment, Outcome, Trajectory
 from ..pipeline import make_experiment, simulate
-from ..trajectory import Experiment, Outcome, Trajectory
-from .precision import ErrorOf
+from .work_precision import ErrorOf
 
 _MOST = 300  # states up to which all eigenvalues are computed
 _TURNS = 60  # of the power iteration beyond
@@ -166,8 +166,13 @@ def _modes_at(model: Model, trajectory: Trajectory, e: Experiment, row: int) -> 
         return np.array([trajectory[label.name][row] for label in labels], float)
 
     dae = model.dae
-    point = (float(trajectory.t[row]), column(dae.x_labels), column(dae.z_labels),
-             column(dae.u_labels), e.p)  # fmt: skip
+    point = (
+        float(trajectory.t[row]),
+        column(dae.x_labels),
+        column(dae.z_labels),
+        column(dae.u_labels),
+        e.p,
+    )
     A: ca.DM = model.function("dode_dx")(*point)
     if model.n_z:
         names = ("dode_dz", "dalg_dz", "dalg_dx")
@@ -183,8 +188,11 @@ def _modes_at(model: Model, trajectory: Trajectory, e: Experiment, row: int) -> 
     turning = np.abs(values.imag) > 1e-6 * size[worst]
     slow = float(size[turning].min()) if turning.any() else 0.0
     rings = turning & (-values.real < 0.02 * size) & (size > 10 * slow)
-    return Modes(float(size[worst]), float(-values[worst].real / size[worst]),
-                 float(size[rings].max(initial=0.0)))  # fmt: skip
+    return Modes(
+        float(size[worst]),
+        float(-values[worst].real / size[worst]),
+        float(size[rings].max(initial=0.0)),
+    )
 
 
 def _power(A: ca.DM) -> float:
@@ -202,5 +210,6 @@ def _power(A: ca.DM) -> float:
 
 def start_of(model: Model, t_end: float, given: Mapping[str, Any]) -> Experiment:
     """The experiment of a run to t_end."""
-    return make_experiment(model, t_end, given.get("inputs") or {}, given.get("params") or {},
-                           given.get("start") or {})  # fmt: skip
+    return make_experiment(
+        model, t_end, given.get("inputs") or {}, given.get("params") or {}, given.get("start") or {}
+    )

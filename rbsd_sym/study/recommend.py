@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..base.symbols import is_number
 from ..integrators import Idas, Rosenbrock
-from ..model import Model
-from ..symbols import is_number
-from ..trajectory import Experiment
+from ..model.model import Model
+from ..model.trajectory import Experiment
 from .contenders import contenders
 from .pilot import Costs, Modes, Pilot, Trial, costs, modes, start_of
-from .precision import _setting
-from .table import Table
+from .table import ResultTable
+from .work_precision import _setting
 
 _INTERVALS = 8  # output intervals of a pilot
 _TRIES = 4  # settings of one method
@@ -51,7 +51,7 @@ class Recommendation:
 
     integrator: Any
     why: str
-    table: Table
+    table: ResultTable
 
     def __str__(self) -> str:
         return self.why
@@ -104,7 +104,7 @@ def recommend(
     facts = _Facts(price, around, share, t_end, pilot.floor, exported, seen)
     runs = list(_runs(pilot, rtol, share, facts))
     best = _best(model, runs, rtol)
-    table = Table(_COLUMNS, _UNITS, tuple(_row(run) for run in runs))
+    table = ResultTable(_COLUMNS, _UNITS, tuple(_row(run) for run in runs))
     return Recommendation(best.integrator, _why(model, best, runs, rtol, facts), table)
 
 
@@ -113,8 +113,11 @@ def _check(model: Model, rtol: float, t_end: float, seconds: float, exported: bo
         raise TypeError(
             f"recommend: model {model!r} is a {type(model).__name__}; give what compile_scene gives"
         )
-    for name, value, top, unit in (("rtol", rtol, 0.1, ""), ("t_end", t_end, math.inf, " s"),
-                                   ("seconds", seconds, math.inf, " s")):  # fmt: skip
+    for name, value, top, unit in (
+        ("rtol", rtol, 0.1, ""),
+        ("t_end", t_end, math.inf, " s"),
+        ("seconds", seconds, math.inf, " s"),
+    ):
         if not (is_number(value) and 0 < float(value) < top):
             raise ValueError(
                 f"recommend: {name} {value!r}{unit}; it is a number above 0"

@@ -1,7 +1,7 @@
 """A function called at many points, spread over processes or a cluster; rows in a table.
 
 points --check--> todo --workers--> outcomes --log--> file
-                                        +-----------> Table
+                                        +-----------> ResultTable
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from concurrent.futures import Executor
 from typing import Any
 
 from .log import Keep, header, opened
-from .table import Table, plain_items
+from .table import ResultTable, plain_items
 from .workers import Outcome, Point, Work, lent, name_of, not_importable, own, reason
 
 
@@ -24,7 +24,7 @@ def sweep(
     executor: Executor | None = None,
     file: str | os.PathLike[str] | None = None,
     retry_failed: bool = False,
-) -> Table:
+) -> ResultTable:
     """Call a function at every point, spread over processes; one row for each point, in order.
 
     Arguments:
@@ -142,7 +142,7 @@ def _check_names(
             return
 
 
-def _table(points: Sequence[Point], results: Mapping[int, Outcome]) -> Table:
+def _table(points: Sequence[Point], results: Mapping[int, Outcome]) -> ResultTable:
     keys, rows = tuple(points[0]), []
     there = (results[i][0] for i in range(len(points)))
     names = tuple(next((result for result in there if result is not None), {}))
@@ -151,4 +151,4 @@ def _table(points: Sequence[Point], results: Mapping[int, Outcome]) -> Table:
         cells = [result[name] if result is not None else None for name in names]
         rows.append((*(point[key] for key in keys), *cells, error))
     columns = (*keys, *names, "error")
-    return Table(columns, ("",) * len(columns), tuple(rows))
+    return ResultTable(columns, ("",) * len(columns), tuple(rows))

@@ -15,7 +15,7 @@ from typing import Any, Union
 import casadi as ca
 import numpy as np
 
-from ..files import write_whole
+from ..base.files import write_whole
 
 Cell = Union[float, str, tuple, None]
 
@@ -61,7 +61,7 @@ def _is_number(cell: Cell) -> bool:
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """Named columns with units; `print(table)` shows it.
 
     Fields:
@@ -75,7 +75,7 @@ class Table:
         TypeError: a cell of another kind.
 
     Example:
-        table = Table(("k", "error"), ("N/m", ""), ((1e3, 1e-6), (2e3, 3e-6)))
+        table = ResultTable(("k", "error"), ("N/m", ""), ((1e3, 1e-6), (2e3, 3e-6)))
         table.column("k")          # array([1000., 2000.])
     """
 
@@ -120,7 +120,7 @@ class Table:
             objects[i] = cell
         return objects
 
-    def with_units(self, units: Mapping[str, str]) -> Table:
+    def with_units(self, units: Mapping[str, str]) -> ResultTable:
         """The same table with units of some columns, by name.
 
         Raises:

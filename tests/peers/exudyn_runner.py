@@ -21,7 +21,7 @@ from oracles.rotations import Array
 from oracles.scenes import GROUND, Scene, start_state
 
 sys.__dict__.setdefault("exudynFast", True)
-import exudyn as exu  # noqa: E402
+import exudyn as exu
 
 exu.config.printToConsole = False
 items = exu.itemInterface

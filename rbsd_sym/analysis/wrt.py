@@ -1,0 +1,113 @@
+"""What derivatives are by, and of: names in wrt, and outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ..dae.members import Label
+from ..model.model import Model
+from ..model.signals import is_constant
+from ..model.trajectory import Experiment
+
+_LISTED = 30  # names in an error message
+
+
+class Way:
+    """What the names in wrt do to start states, parameters and inputs.
+
+    Fields:
+        labels: names, units and values.
+        x, p, u, idle: columns of derivatives, one for each name.
+    """
+
+    def __init__(
+        self, model: Model, e: Experiment, names: list[str], start: Mapping[str, float]
+    ) -> None:
+        dae, n = model.dae, len(names)
+        groups = (dae.x_labels, dae.p_labels, dae.u_labels, dae.idle_p_labels)
+        self.x, self.p, self.u, self.idle = (np.zeros((len(g), n)) for g in groups)
+        u = [float(s) if is_constant(s) else np.nan for s in e.inputs]  # type: ignore[arg-type]
+        values, labels = (e.x, e.p, np.array(u), e.idle), []
+        for k, name in enumerate(names):
+            group, row = _find(model, name, groups)
+            if group == 2 and np.isnan(u[row]):
+                raise ValueError(
+                    f"sensitivity of '{model.name}': input '{name}' varies in time; derivatives "
+                    "are by inputs that are one number; write it with a Param, and use that"
+                )
+            (self.x, self.p, self.u, self.idle)[group][row, k] = 1.0
+            labels.append(replace(groups[group][row], start=float(values[group][row])))
+        self.labels = tuple(labels)
+        moved = np.array(ca.DM(_start_slope(model)(e.p))) @ self.p
+        fixed = {*start, *names}
+        kept = [i for i, label in enumerate(dae.x_labels) if label.name not in fixed]
+        self.x[kept] += moved[kept]
+
+    @property
+    def scale(self) -> np.ndarray:
+        """A fair size of a change of each: its value, or 1 where that is 0."""
+        values = np.abs([label.start for label in self.labels])
+        return np.where(values > 0, values, 1.0)
+
+
+def _find(model: Model, name: str, groups: Sequence[Sequence[Label]]) -> tuple[int, int]:
+    for group, labels in enumerate(groups):
+        for row, label in enumerate(labels):
+            if label.name == name:
+                return group, row
+    left = {d.name for d in model.dropped} | {r.name for r in model.replaced}
+    left |= {label.name for label in model.dae.z_labels}
+    if name in left:
+        raise ValueError(
+            f"sensitivity of '{model.name}': '{name}' has no start value of its own in this model; "
+            "compile_scene(minimal=False) keeps states that never move"
+        )
+    there = ", ".join([label.name for labels in groups for label in labels][:_LISTED])
+    raise ValueError(
+        f"sensitivity of '{model.name}': no parameter, input or state '{name}'; there are: {there}"
+    )
+
+
+def _start_slope(model: Model) -> ca.Function:
+    """Derivative of the start states by p."""
+    dae = model.dae
+    return ca.Function("start_slope", [dae.p], [ca.jacobian(dae.x_start, dae.p)])
+
+
+class Measure(NamedTuple):
+    """An output or a state with its derivatives by x, z, p and all parameters."""
+
+    name: str
+    unit: str
+    shape: tuple[int, ...]
+    slopes: ca.Function
+
+    @staticmethod
+    def of(model: Model, name: str) -> Measure:
+        """The output or state of that name.
+
+        Raises:
+            ValueError: there is none.
+        """
+        dae = model.dae
+        labels = (*dae.x_labels, *dae.z_labels)
+        every = ca.vertcat(dae.x, dae.z)
+        place = {label.name: i for i, label in enumerate(labels)}
+        shape: tuple[int, ...] = ()
+        if name in place:
+            expr, unit = every[place[name]], labels[place[name]].unit
+        elif name in model.left_out and dae.expansion:
+            row = [label.name for label in dae.expansion.labels].index(name)
+            expr, unit = dae.measured[row], dae.expansion.labels[row].unit
+        else:
+            expr = dae.output(name)
+            unit, shape = dae.outputs[name].unit, dae.outputs[name].shape
+        p = ca.vertcat(dae.p, dae.idle_p)
+        ways = [ca.densify(ca.jacobian(expr, v)) for v in (dae.x, dae.z, dae.u, p)]
+        slopes = ca.Function("slopes", [dae.t, dae.x, dae.z, dae.u, p], ways, {"cse": True})
+        return Measure(name, unit, shape, slopes)

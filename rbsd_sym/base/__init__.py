@@ -1,0 +1,1 @@
+"""What every floor above may use: symbols, checks, rotations, linear algebra, files."""

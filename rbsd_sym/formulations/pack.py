@@ -1,0 +1,110 @@
+"""Numbers of scene elements as columns of constants for the kernels, and back."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from ..base.rotation import matrix_quat, quat_matrix, quat_product
+from ..base.symbols import TIME, Scalar, leaves_of, to_expr
+from ..mechanics.motion import MarkerOnBody, inverse3
+from ..scene.elements import Marker, RigidBody
+
+MARKER = 22  # p (3), R (9), q (4), v (3), w (3)
+INERTIA = 18  # inertia (9), its inverse (9)
+COMPLIANCE = 10  # 1 / mass, inverse inertia (9)
+BODY = 16  # mass, inertia (9), com (3), start position of the frame's origin (3)
+
+
+# As functions they are called in one go, which keeps the time per scene element short.
+_MATRIX = ca.SX.sym("A", 3, 3)
+_MATRIX_QUAT = ca.Function("matrix_quat", [_MATRIX], [matrix_quat(_MATRIX)])
+_INVERSE3 = ca.Function("inverse3", [_MATRIX], [inverse3(_MATRIX)])
+_STILL = ca.SX.zeros(6)
+
+
+def rotation_pair(rotation: np.ndarray) -> tuple[ca.SX, ca.SX]:
+    """Matrix and quaternion of a checked rotation, which is either."""
+    value = to_expr(rotation)
+    if rotation.shape == (4,):
+        return quat_matrix(value), value
+    return value, _MATRIX_QUAT(value)
+
+
+def _marker_function() -> ca.Function:
+    """Position and rotations of marker and joint -> the first 16 entries of its column."""
+    p, A, B = ca.SX.sym("p", 3), ca.SX.sym("A", 3, 3), ca.SX.sym("B", 3, 3)
+    q = quat_product(matrix_quat(A), matrix_quat(B))
+    return ca.Function("marker", [p, A, B], [ca.vertcat(p, ca.vec(A @ B), q)])
+
+
+_MARKER = _marker_function()
+
+
+def marker_column(marker: Marker, body: RigidBody | None, joint: np.ndarray | None = None) -> ca.SX:
+    """A marker relative to the centre of mass, with the joint's rotation and its own velocity.
+
+    The velocity is the explicit derivative by TIME; Inputs count as held.
+    """
+    turned = np.eye(3) if joint is None else joint
+    given = [marker.position, marker.rotation, turned, body.com if body else np.zeros(3)]
+    if all(v.dtype != object for v in given) and marker.rotation.shape == turned.shape == (3, 3):
+        place = marker.position - given[3]  # numbers take the short way
+        return ca.vertcat(ca.SX(_MARKER(place, marker.rotation, turned)), _STILL)
+    R, q = rotation_pair(marker.rotation)
+    if joint is not None:
+        R_joint, q_joint = rotation_pair(joint)
+        R, q = R @ R_joint, quat_product(q, q_joint)
+    p = to_expr(marker.position) - (to_expr(body.com) if body else 0)
+    driven = TIME in leaves_of([marker.position, marker.rotation, () if joint is None else joint])
+    return ca.vertcat(p, ca.vec(R), q, _velocity(p, R) if driven else _STILL)
+
+
+def _velocity(p: ca.SX, R: ca.SX) -> ca.SX:
+    spin = ca.reshape(ca.jacobian(ca.vec(R), TIME.expr), 3, 3) @ R.T
+    w = ca.vertcat(spin[2, 1], spin[0, 2], spin[1, 0])
+    return ca.densify(ca.vertcat(ca.jacobian(p, TIME.expr), w))
+
+
+def marker_of(c: ca.SX) -> MarkerOnBody:
+    """The marker of a column."""
+    return MarkerOnBody(c[:3], ca.reshape(c[3:12], 3, 3), c[12:16], c[16:19], c[19:22])
+
+
+def has_mass(body: RigidBody) -> bool:
+    """Whether the mass is not a plain zero."""
+    return not _is_plain_zero(body.mass)
+
+
+def axes_without_inertia(body: RigidBody) -> tuple[int, ...]:
+    """Body axes whose row of the inertia is plain zeros: all three, or the axis of a thin rod."""
+    return tuple(i for i in range(3) if all(_is_plain_zero(v) for v in body.inertia[i]))
+
+
+def _is_plain_zero(value: object) -> bool:
+    return not isinstance(value, Scalar) and float(value) == 0.0  # type: ignore[arg-type]
+
+
+def inertia_column(body: RigidBody) -> ca.SX:
+    """Inertia, and the inverse that the rates use (see `compliance_column`)."""
+    return ca.vertcat(ca.vec(to_expr(body.inertia)), compliance_column(body)[1:])
+
+
+def compliance_column(body: RigidBody) -> ca.SX:
+    """1 / mass and the inverse inertia: what turns a wrench into accelerations.
+
+    Without mass or inertia it is 1, and the row holds the force or torque itself, which must
+    vanish (`Dae.balances`).
+    """
+    inertia = to_expr(body.inertia)
+    for i in axes_without_inertia(body):
+        inertia[i, i] = 1
+    mass = to_expr(body.mass) if has_mass(body) else ca.SX(1)
+    return ca.vertcat(1 / mass, ca.vec(_INVERSE3(inertia)))
+
+
+def body_column(body: RigidBody) -> ca.SX:
+    """What the outputs of a body need."""
+    return ca.vertcat(
+        to_expr(body.mass), ca.vec(to_expr(body.inertia)), to_expr(body.com), to_expr(body.position)
+    )

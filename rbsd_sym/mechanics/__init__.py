@@ -1,0 +1,1 @@
+"""Rigid-body mechanics as expressions: motion of frames, named quantities with units."""

@@ -1,0 +1,53 @@
+"""Columns of a trajectory over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.trajectory import Trajectory
+from .style import COLOURS, STYLES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def trajectory(trajectory: Trajectory, columns: Sequence[str]) -> Figure:
+    """One panel for each column over time, with its components, units in the labels.
+
+    Arguments:
+        trajectory: of `simulate`, or loaded.
+        columns: names such as "arm.position" or "joint.force_local".
+
+    Raises:
+        ValueError: no columns, or an unknown one.
+    """
+    from matplotlib.figure import Figure  # drawing is not needed to simulate, and slow to import
+
+    names = [columns] if isinstance(columns, str) else list(columns)
+    if not names:
+        raise ValueError("plots.trajectory: no columns; name at least one")
+    figure = Figure(figsize=(7.0, 0.6 + 1.9 * len(names)), layout="constrained")
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, name in zip(panels, names, strict=True):
+        column = trajectory.column(name)
+        values = column.values.reshape(len(trajectory.t), -1)
+        for i in range(values.shape[1]):
+            label = column.components[i] if len(column.components) == values.shape[1] else str(i)
+            style = STYLES[(i // len(COLOURS) + i) % len(STYLES)]
+            colour = COLOURS[i % len(COLOURS)]
+            panel.plot(trajectory.t, values[:, i], style, color=colour, label=label, lw=1.5)
+        quantity = name.split(".")[-1].replace("_", " ")
+        panel.set_ylabel(f"{quantity} [{column.unit}]" if column.unit else quantity)
+        panel.set_title(name, loc="left", fontsize="medium")
+        panel.grid(alpha=0.3)
+        panel.margins(x=0)
+        if np.ptp(values) < 1e-12 * max(1.0, float(np.abs(values).max())):
+            middle = float(values.mean())
+            panel.set_ylim(middle - 1, middle + 1)  # a constant is drawn as one, not its rounding
+        if values.shape[1] > 1:
+            panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    panels[-1].set_xlabel("time [s]")
+    return figure
