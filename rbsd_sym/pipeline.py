@@ -145,7 +145,7 @@ def make_experiment(
 ) -> Experiment:
     """Everything by name turned into vectors, and checked."""
     dae = model.dae
-    every = (*dae.p_labels, *dae.idle_p_labels)
+    every = dae.parameters.labels
     values = filled(model, "parameter", every, [v.start for v in every], params)
     p, idle = values[: model.n_p], values[model.n_p :]
     x, z = dae.start_values(p)

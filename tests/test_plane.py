@@ -25,6 +25,7 @@ from plane_scenes import (
 
 import rbsd_sym as rs
 from rbsd_sym.base.checks import at_default
+from rbsd_sym.dae.members import RotationKind
 from rbsd_sym.formulations.layout import Layout
 from rbsd_sym.formulations.plane import Plane, planes, written_in
 
@@ -107,7 +108,8 @@ def random_states(rng: np.random.Generator, formulation: Any, bodies: int = 2) -
     """Tait-Bryan angles within 0.7 rad, which keeps clear of the singularity."""
     parts = []
     for _ in range(bodies):
-        rotation = unit(rng) if formulation.quaternion else 0.7 * rng.uniform(-1, 1, 3)
+        quaternion = formulation.kind is RotationKind.quaternion
+        rotation = unit(rng) if quaternion else 0.7 * rng.uniform(-1, 1, 3)
         parts += [rng.standard_normal(3), rotation, rng.standard_normal(6)]
     return np.concatenate(parts)
 

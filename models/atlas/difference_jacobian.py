@@ -114,7 +114,7 @@ def _with_differences(model: Model, way: str) -> Model:
         "fd_method": way,
     }
     rates = ca.Function("ode", arguments, [ode(*arguments)], list("txzup"), ["ode"], options)
-    return replace(model, library={"ode": rates}, memo={})
+    return replace(model, library={"ode": rates})
 
 
 def newton(stiffnesses: np.ndarray) -> Table:

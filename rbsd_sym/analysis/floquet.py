@@ -266,7 +266,7 @@ class _Orbit:
 def _arguments(model: Model, motion: Trajectory) -> list[np.ndarray]:
     """Columns t, x, z, u and all parameters, one a point."""
     dae, m = model.dae, len(motion.t)
-    groups = (dae.x_labels, dae.z_labels, dae.u_labels, (*dae.p_labels, *dae.idle_p_labels))
+    groups = (dae.x_labels, dae.z_labels, dae.u_labels, dae.parameters.labels)
     columns = [np.array([motion[label.name] for label in g]).reshape(len(g), m) for g in groups]
     return [motion.t[None, :], *columns]
 

@@ -35,7 +35,7 @@ class Chart:
         self.plain = [row for row in range(model.n_x) if row not in done]
         labels = [model.x_labels[row] for row in self.plain]
         for motion, _, kept in self.turned:
-            labels += [Label(f"{motion.name}_{'xyz'[i]}", "rad") for i in kept]
+            labels += [Label(motion.owner, motion.quantity, "xyz"[i], "rad") for i in kept]
         self.labels = tuple(labels)
 
     def _turn(
@@ -101,9 +101,7 @@ class Chart:
 
 def chart_of(model: Model) -> Chart:
     """The chart of a model, kept with it."""
-    if "tangent coordinates" not in model.memo:
-        model.memo["tangent coordinates"] = Chart(model)
-    return model.memo["tangent coordinates"]
+    return model.cached("tangent coordinates", lambda: Chart(model))
 
 
 def ways(motion: Kinematics, coordinates: ca.SX, live: list[int]) -> list[int]:

@@ -9,6 +9,8 @@ from typing import Any, TypeAlias, Union
 import casadi as ca
 import numpy as np
 
+from .names import check_identifier
+
 Expr: TypeAlias = ca.SX
 
 
@@ -150,34 +152,6 @@ for _name, _function in {
 
 
 _UNIT = re.compile(r"[\w .^*/()%-]{0,32}")
-_C_WORDS = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if "
-    "inline int long register restrict return short signed sizeof static struct switch typedef "
-    "union unsigned void volatile while bool class namespace new delete template this operator "
-    "private public protected virtual try catch throw using friend explicit export mutable asm "
-    "and or not xor true false main jac hess null NULL nan inf".split()
-)
-
-
-def check_identifier(name: object, where: str) -> str:
-    """The name, if it can safely be a C identifier and part of a file name.
-
-    Raises:
-        ValueError: it is empty, too long, not an ASCII identifier, a C or C++ keyword, a name
-            CasADi refuses, or starts, ends or doubles an underscore.
-    """
-    rule = None
-    if not isinstance(name, str) or not name.isascii() or not name.isidentifier():
-        rule = "a name is an ASCII identifier (letters, digits, single underscores)"
-    elif name in _C_WORDS:
-        rule = "the word is reserved in C, C++ or CasADi"
-    elif "__" in name or name.startswith("_") or name.endswith("_"):
-        rule = "underscores stand single and inside the name"
-    elif len(name) > 63:
-        rule = "C distinguishes 63 characters of a name"
-    if rule:
-        raise ValueError(f"{where}: name {name!r}; {rule}; choose another, such as 'arm_1'")
-    return str(name)
 
 
 class Leaf(Scalar):

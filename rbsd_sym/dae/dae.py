@@ -15,6 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..base.names import near
 from ..base.newton import newton
 from .members import (
     Balance,
@@ -22,6 +23,7 @@ from .members import (
     Kinematics,
     Label,
     Output,
+    Parameters,
     Part,
     Rotation,
     Transition,
@@ -65,7 +67,7 @@ class Dae:
         only_requested: whether these are all that matters.
         idle_p: parameters without effect on x, z and y; they may act on other outputs.
         notes: what the user should know (audit of the scene, what was left out).
-        rotations: the quaternions among the states; passes need not know bodies to find them.
+        rotations: which states are rotations, and of what kind.
         balances: the motions without inertia, until a pass has made them algebraic.
         motions: coordinates of the full scene, their velocities, and how steps move them.
         events: what happens where a function falls through zero, in the order in which it happens
@@ -262,12 +264,14 @@ class Dae:
         return value
 
     def _check_output(self, name: str) -> None:
-        if name in self.outputs:
-            return
-        owner = name.split(".")[0]
-        close = [key for key in self.outputs if key.split(".")[0] == owner]
-        there = ", ".join(close or sorted({k.split(".")[0] for k in self.outputs}))
-        raise ValueError(f"model '{self.name}': no output '{name}'; there are: {there}")
+        if name not in self.outputs:
+            there = near(name, self.outputs)
+            raise ValueError(f"model '{self.name}': no output '{name}'; there are: {there}")
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """The parameters of the scene, and which of them are in use."""
+        return Parameters(self.p_labels, self.idle_p_labels, ca.vertcat(self.p, self.idle_p))
 
     def start_values(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Start values of x and z for the given parameter values."""

@@ -9,23 +9,40 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
+from ..base.names import joined
+
 
 @dataclass(frozen=True)
 class Label:
-    """Name, unit and start (or default) value of one entry of x, z, u, p or y.
+    """What one entry of x, z, u, p or y is, with its unit and start (or default) value.
 
-    `data` marks a state that has no rate and is changed by events and updates only.
+    Fields:
+        owner: the body, connector, ... that it belongs to; "" for what belongs to the whole scene.
+        quantity: such as "p", "q" or "force_local"; of an Input or Param its name.
+        component: such as "x"; "" for a scalar.
+        data: whether it is a state without rate, which only events and updates change.
+
+    >>> Label("arm", "p", "x", "m").name
+    'arm.p_x'
     """
 
-    name: str
-    unit: str
+    owner: str
+    quantity: str
+    component: str = ""
+    unit: str = ""
     start: float = 0.0
     data: bool = False
+
+    @cached_property
+    def name(self) -> str:
+        """The label in one word, for people; nothing is read back from it."""
+        return joined(self.owner, self.quantity, self.component)
 
 
 @dataclass(frozen=True)
@@ -87,7 +104,8 @@ class Output:
     `build` gives the kernel, which all instances of a kind share, and the constants.
     """
 
-    name: str
+    owner: str
+    quantity: str
     unit: str
     components: tuple[str, ...]
     shape: tuple[int, ...]
@@ -96,23 +114,34 @@ class Output:
     reads_z: tuple[int, ...] = ()
 
     @property
+    def name(self) -> str:
+        """Such as "joint.force_local"; of a quantity of the scene the bare quantity."""
+        return joined(self.owner, self.quantity)
+
+    @property
     def labels(self) -> tuple[Label, ...]:
-        """A label for each component: `arm.position_x`, or the bare name of a scalar."""
-        if self.components == ("",):
-            return (Label(self.name, self.unit),)
-        return tuple(Label(f"{self.name}_{part}", self.unit) for part in self.components)
+        """A label for each component."""
+        return tuple(Label(self.owner, self.quantity, c, self.unit) for c in self.components)
+
+
+class RotationKind(Enum):
+    """How coordinates describe a rotation R_WB, with their rates for w, the velocity in B."""
+
+    quaternion = "unit quaternion (w, x, y, z), scalar first; q' = q (0, w) / 2"
+    tait_bryan = "Tait-Bryan angles x, y, z; R = Rx Ry Rz"
 
 
 @dataclass(frozen=True)
 class Rotation:
-    """Where a rotation lives: rows of a quaternion (w, x, y, z) and of its angular velocity.
+    """Rows of the states that are a rotation, and of its angular velocity (in axes that turn).
 
-    The angular velocity is in axes that turn along: q' = q (0, w) / 2.
+    In a reduced model they are rows of the states of the full scene, as `Kinematics` has them.
     """
 
-    name: str
-    quaternion: tuple[int, int, int, int]
-    velocity: tuple[int, int, int]
+    owner: str
+    kind: RotationKind
+    coordinates: tuple[int, ...]
+    velocity: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -120,12 +149,14 @@ class Kinematics:
     """Coordinates and the velocities that move them: what Lie-group integrators need.
 
     Arguments:
+        owner, quantity: what moves, such as "arm" and "rotation".
         coordinates, velocities: rows of the states.
         retract: Function (coordinates, step) -> coordinates moved by a tangent step, which is time
             times velocity to first order: p + step, or R exp(step) for a rotation.
     """
 
-    name: str
+    owner: str
+    quantity: str
     coordinates: tuple[int, ...]
     velocities: tuple[int, ...]
     retract: ca.Function
@@ -196,3 +227,22 @@ class Balance:
         """Symbols of coordinates and start, and the way between along each velocity."""
         c, start = (ca.SX.sym(name, len(self.coordinates)) for name in ("c", "start"))
         return c, start, self.basis(c).T @ (c - start)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The parameters of a scene: those in use, then those without effect on x, z and y.
+
+    Fields:
+        used, idle: their labels; idle ones may act on outputs that were not requested.
+        symbols: column of both.
+    """
+
+    used: tuple[Label, ...]
+    idle: tuple[Label, ...]
+    symbols: ca.SX
+
+    @property
+    def labels(self) -> tuple[Label, ...]:
+        """Labels of both."""
+        return (*self.used, *self.idle)

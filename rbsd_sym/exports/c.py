@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 
 from .. import version
+from ..base.names import derivative
 from ..model.model import Model
 from . import c_names as names
 from .card import card_text
@@ -63,7 +64,10 @@ def _default(model: Model) -> list[str]:
 
 def _exported(model: Model, name: str) -> Exported:
     function = model.function(name)
-    sparse = function.size2_out(0) > 1 or name in ("jump", *_JACOBIANS) or name.startswith("dout_d")
+    found = derivative(name)
+    by_time = found is not None and found.by == "t" and found.of != "out"
+    jacobian = found is not None and bool(found.by) and not by_time
+    sparse = function.size2_out(0) > 1 or name == "jump" or jacobian
     symbol, letters = names.kernel(model.name, name), function.name_in()
     if assembles(model, name):
         return Exported(name, stub(model, name, symbol), sparse)

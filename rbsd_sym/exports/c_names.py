@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from ..base.names import c_name
 from ..dae.members import Label
-
-
-def c_name(text: str) -> str:
-    """A model-side name such as "joint.force_local" as part of a C identifier."""
-    return text.replace(".", "_")
 
 
 def function(model: str, name: str) -> str:

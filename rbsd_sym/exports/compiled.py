@@ -39,7 +39,7 @@ def compiled(model: Model, compiler: str | None = None, flags: Sequence[str] = O
         jacobian = [_block(found, f"d{name}_d{v}", blocks, symbols) for v in "txzup"]
         value = found[name](*symbols)
         found[name] = with_jacobian(name, symbols, value, jacobian)
-    return replace(model, library=found, memo={})
+    return replace(model, library=found)
 
 
 def _source(model: Model, functions: dict[str, ca.Function]) -> str:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from .. import version
+from ..base.names import derivative
 from ..dae.members import Label
 from ..model.model import Model
 from . import c_names as names
@@ -94,7 +95,7 @@ def header_text(model: Model, functions: list[Exported]) -> str:
         "",
     ]
     if model.events:
-        events = tuple(Label(event, "") for event in model.events)
+        events = tuple(Label("", event) for event in model.events)
         lines += enum_lines([(names.constant(name, "N_EVENTS"), len(events), "")])
         lines += index_lines(name, "event", "Events, in the order in which they happen.", events)
     for kind, title, labels in (
@@ -166,17 +167,14 @@ def _declaration(model: Model, f: Exported) -> list[str]:
 
 
 def _words(f: Exported) -> str:
-    of, _, kind = f.name.partition("_")
-    if f.given:
-        size = f"{_GIVEN[f.given]}{f.kernel.numel_in(5)})"
+    found = derivative(f.name)
+    if found and f.given:
+        of, size = found.of, f"{_GIVEN[f.given]}{f.kernel.numel_in(5)})"
         return {
             "hessian": f"Second derivatives of l'{of} by [x; z; u; p], {size}",
             "forward": f"Derivative of {of} along a {size}",
             "adjoint": f"Gradient of l'{of} by [x; z; u; p], {size}",
-        }[kind]
-    if f.name in _WORDS:
-        return _WORDS[f.name]
-    if f.name.startswith("d") and "_d" in f.name:
-        of, _, v = f.name[1:].rpartition("_d")
-        return f"Jacobian of {of} with respect to {v}"
-    return f.name
+        }[found.kind]
+    if found:
+        return f"Jacobian of {found.of} with respect to {found.by}"
+    return _WORDS.get(f.name, f.name)

@@ -93,7 +93,7 @@ def header_text(model: Model, integrator: Any, sensitivities: bool) -> str:
 
 def _of_events(model: Model, upper: str) -> dict[str, str]:
     """What the header of a model with events has beside."""
-    events = tuple(Label(name, "") for name in model.events)
+    events = tuple(Label("", name) for name in model.events)
     indices = index_lines(f"{model.name}_sim", "event", "Events.", events)
     return {
         "EVENT_CODES": (

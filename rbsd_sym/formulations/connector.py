@@ -9,6 +9,7 @@ from typing import Any
 
 import casadi as ca
 
+from ..base.names import joined
 from ..base.symbols import TIME, to_expr
 from ..dae.members import Hold, Label, Part, Transition, Update
 from ..mechanics.quantities import CONNECTOR_QUANTITIES, CONNECTOR_TANGENTS, Quantity, effect_force
@@ -53,15 +54,14 @@ class ConnectorWriter:
 
     @property
     def labels(self) -> list[Label]:
-        """Names of its own states."""
+        """Labels of its own states."""
         name = self.connector.name
-        return [Label(f"{name}.{o.name}", o.unit, o.start, o.data) for o in self.connector.own]
+        return [Label(name, o.name, "", o.unit, o.start, o.data) for o in self.connector.own]
 
     @property
     def unknowns(self) -> list[Label]:
-        """Names of its unknown forces."""
-        name = self.connector.name
-        return [Label(f"{name}.{o.name}", o.unit) for o in self.connector.unknowns]
+        """Labels of its unknown forces."""
+        return [Label(self.connector.name, o.name, "", o.unit) for o in self.connector.unknowns]
 
     @property
     def quantities(self) -> list[Quantity]:
@@ -153,7 +153,7 @@ class ConnectorWriter:
             if effect.unknowns:
                 kernel = self._kept(("hold", i), partial(self.reaction.hold, i))
                 row = self.reads_z[len(found)]
-                name = f"{self.connector.name}.{effect.label}"
+                name = joined(self.connector.name, effect.label)
                 found.append(Hold(name, kernel, *self._place, row))
         return found
 
@@ -171,20 +171,21 @@ class ConnectorWriter:
 
     def events(self) -> list[Transition]:
         """The events of its effects, in order, then those of the user."""
-        name, found = self.connector.name, []
+        name, found, names = self.connector.name, [], []
         for k, (i, change) in enumerate(self.reaction.changes()):
             kernel = self._kept(("event", k), partial(self.reaction.change, i, change))
-            label = f"{name}.{self._effects[i].label}_{change.name}"
+            names.append(f"{self._effects[i].label}_{change.name}")
+            label = joined(name, names[-1])
             found.append(Transition(label, kernel, *self._place, self._changes, change.at_once))
         traced = self.kind.functions.events
         for event in traced.events if traced else ():
             first = event.first
             kernel = self._kept(("user event", first), partial(self.reaction.user_event, first))
-            label = f"{name}.{event.name}"
+            names.append(event.name)
+            label = joined(name, event.name)
             found.append(
                 Transition(label, kernel, *self._place, self._changes, event.at_once, event.stops)
             )
-        names = [event.name.removeprefix(f"{name}.") for event in found]
         if len(set(names)) < len(names):
             raise ValueError(
                 f"connector '{name}', events: {', '.join(names)}; give them different names"

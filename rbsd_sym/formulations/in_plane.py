@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..dae.dae import Dae, Expansion
-from ..dae.members import Hold, Part
+from ..dae.members import Hold, Label, Part
 from ..dae.reduction import Reduction
 from ..minimal import core, finish
 from ..scene.scene import Scene
@@ -68,8 +68,8 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
     way, n = flat.expansion, full.x.numel()
     if way is None:
         raise ValueError(f"model '{full.name}': not reduced")
-    names = _names(plane, layout, way)
-    labels = {label.name: replace(label, name=names[i]) for i, label in enumerate(way.labels)}
+    renamed = _labels(plane, layout, way)
+    labels = {old.name: new for old, new in zip(way.labels, renamed, strict=True)}
     measured = flat.measured if way.followers else flat.states
     bodies = layout.size * len(plane.turned)
     states = ca.vertcat(plane.way_back(layout, measured[:bodies]), measured[bodies:n], way.states)
@@ -123,14 +123,13 @@ def _moved(item: Any, n: int) -> Any:
     return replace(item, reads=_plus(item.reads, n), **changes)
 
 
-def _names(plane: Plane, layout: Layout, way: Expansion) -> list[str]:
-    """Names of the states in the plane; those that mean what they do in the scene keep theirs."""
-    names = [label.name for label in way.labels]
+def _labels(plane: Plane, layout: Layout, way: Expansion) -> list[Label]:
+    """Labels of the states in the plane; those that mean what they do in the scene keep theirs."""
+    labels = list(way.labels)
     for i, turned in enumerate(plane.turned):
         rows, same = layout.rows(i), bool((turned == np.eye(3)).all())
         renamed = [] if plane.keeps_world else [*rows[:3], *rows[-6:-3]]
         renamed += [] if plane.keeps_world and same else [*rows[3:-6], *rows[-3:]]
         for row in renamed:
-            body, _, name = names[row].partition(".")
-            names[row] = f"{body}.plane_{name}"
-    return names
+            labels[row] = replace(labels[row], quantity=f"plane_{labels[row].quantity}")
+    return labels

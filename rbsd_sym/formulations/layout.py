@@ -12,7 +12,7 @@ import numpy as np
 
 from ..base.rotation import quat_exp, quat_matrix, quat_product
 from ..base.symbols import TIME, to_expr
-from ..dae.members import Balance, Kinematics, Label, Rotation
+from ..dae.members import Balance, Kinematics, Label, Rotation, RotationKind
 from ..mechanics.motion import Body, body_motion
 from ..scene.elements import GROUND, Marker, RigidBody
 from ..scene.scene import Scene
@@ -20,16 +20,16 @@ from .pack import axes_without_inertia, has_mass, rotation_pair
 
 
 class Coordinates(Protocol):
-    """Rotation coordinates of a body: what a formulation chooses. `labels` are (name, unit)."""
+    """Rotation coordinates of a body: what a formulation chooses."""
 
     @property
-    def labels(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of each coordinate."""
+    def labels(self) -> tuple[tuple[str, str, str], ...]:
+        """Quantity, component and unit of each coordinate."""
         ...
 
     @property
-    def quaternion(self) -> bool:
-        """Whether the coordinates are a quaternion, scalar first."""
+    def kind(self) -> RotationKind:
+        """What the coordinates are."""
         ...
 
     def start(self, R_WB: ca.SX, q_WB: ca.SX) -> ca.SX:
@@ -100,11 +100,9 @@ class Layout:
         return tuple(range(*self._unknown[connector]))
 
     def rotations(self) -> tuple[Rotation, ...]:
-        """The quaternions among the states, if the coordinates are quaternions."""
-        if not self.coordinates.quaternion:
-            return ()
+        """The rotations of all bodies."""
         return tuple(
-            Rotation(body.name, self.rows(i)[3:7], self.rows(i)[10:13])  # type: ignore[arg-type]
+            Rotation(body.name, self.coordinates.kind, self.rows(i)[3:-6], self.rows(i)[-3:])
             for i, body in enumerate(self.scene.bodies)
         )
 
@@ -118,10 +116,10 @@ class Layout:
         body, rows = self.scene.bodies[index], self.rows(index)
         v = rows[-6:-3]
         moves = [
-            Kinematics(f"{body.name}.{axis}", rows[i : i + 1], v[i : i + 1], _ADDED)
+            Kinematics(body.name, axis, rows[i : i + 1], v[i : i + 1], _ADDED)
             for i, axis in enumerate("xyz")
         ]
-        return [*moves, Kinematics(f"{body.name}.rotation", rows[3:-6], rows[-3:], self._retract)]
+        return [*moves, Kinematics(body.name, "rotation", rows[3:-6], rows[-3:], self._retract)]
 
     @cached_property
     def _retract(self) -> ca.Function:
@@ -129,7 +127,7 @@ class Layout:
         _, q = self.coordinates.orientation(r)
         turned = quat_product(q, quat_exp(step))
         found = self.coordinates.start(quat_matrix(turned), turned)
-        if not self.coordinates.quaternion:  # angles count turns
+        if self.coordinates.kind is RotationKind.tait_bryan:  # angles count turns
             found = found + 2 * ca.pi * ca.floor((r - found) / (2 * ca.pi) + 0.5)
         return ca.Function("retract", [r, step], [found])
 
@@ -156,11 +154,10 @@ class Layout:
         return [self.index(name) for name in dict.fromkeys(names)]
 
     def labels(self, body: RigidBody) -> list[Label]:
-        """Names and units of a body's states."""
-        names = [("p_x", "m"), ("p_y", "m"), ("p_z", "m"), *self.coordinates.labels]
-        names += [("v_x", "m/s"), ("v_y", "m/s"), ("v_z", "m/s")]
-        names += [("w_x", "rad/s"), ("w_y", "rad/s"), ("w_z", "rad/s")]
-        return [Label(f"{body.name}.{name}", unit) for name, unit in names]
+        """Labels of a body's states, without start values."""
+        names = [("p", axis, "m") for axis in "xyz"] + [*self.coordinates.labels]
+        names += [(q, axis, unit) for q, unit in (("v", "m/s"), ("w", "rad/s")) for axis in "xyz"]
+        return [Label(body.name, *name) for name in names]
 
     def start(self, body: RigidBody) -> ca.SX:
         """Start values of a body's states, over the Params."""

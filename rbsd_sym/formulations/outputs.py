@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from ..base.names import near
 from ..base.symbols import to_expr
 from ..dae.members import Output
 from ..mechanics.quantities import (
@@ -42,8 +43,8 @@ class OutputWriter:
             build: Callable,
             reads_z: tuple[int, ...] = (),
         ) -> None:
-            name = f"{owner}.{q.name}" if owner else q.name
-            outputs[name] = Output(name, q.unit, q.components, q.shape, build, reads, reads_z)
+            output = Output(owner, q.name, q.unit, q.components, q.shape, build, reads, reads_z)
+            outputs[output.name] = output
 
         for i, body in enumerate(self.layout.scene.bodies):
             for q in BODY_QUANTITIES:
@@ -84,16 +85,14 @@ class OutputWriter:
             asked = {q.name for q in CONNECTOR_TANGENTS}
             return tuple(
                 name
-                for name in outputs
-                if small and name.split(".")[0] not in idle and name.split(".")[-1] not in asked
+                for name, output in outputs.items()
+                if small and output.owner not in idle and output.quantity not in asked
             )
         for name in scene.outputs:
             if name not in outputs:
-                owner = str(name).split(".")[0]
-                near = [key for key in outputs if key.split(".")[0] == owner] or list(outputs)[:20]
                 raise ValueError(
                     f"scene '{scene.name}', outputs: no output '{name}'; there are: "
-                    + ", ".join(near)
+                    + near(name, outputs)
                 )
         return tuple(scene.outputs)
 

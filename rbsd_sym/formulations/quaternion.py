@@ -9,6 +9,7 @@ import casadi as ca
 
 from ..base.rotation import quat_matrix, quat_rate
 from ..dae.dae import Dae
+from ..dae.members import RotationKind
 from ..scene.scene import Scene
 from . import newton_euler
 
@@ -20,11 +21,8 @@ class Quaternion:
     Rotation matrices divide by q.q, so that drift of the norm cannot change the dynamics.
     """
 
-    labels: ClassVar[tuple[tuple[str, str], ...]] = (
-        ("q_w", ""), ("q_x", ""), ("q_y", ""), ("q_z", ""),
-    )  # fmt: skip
-
-    quaternion: ClassVar[bool] = True
+    labels: ClassVar[tuple[tuple[str, str, str], ...]] = tuple(("q", axis, "") for axis in "wxyz")
+    kind: ClassVar[RotationKind] = RotationKind.quaternion
 
     def write(self, scene: Scene) -> Dae:
         """The scene as a `Dae` with states <body>.p_x ... q_w ... v_x ... w_z."""

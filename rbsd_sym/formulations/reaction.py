@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from ..base.symbols import TIME
+from ..dae.members import RotationKind
 from ..laws import Effect, Law, Relative, Response, SpringDamper, respond
 from ..laws.effect import Change
 from ..mechanics.motion import (
@@ -211,7 +212,9 @@ class Reaction:
         # A user may look at the world's axes, and an impulse is worked out there.
         if len(bodies) == 2 and self.kind.functions.force is None and not self.effects:
             R_WE = bodies[0].motion.frame.R_WA
-            bodies = seen_from_first(bodies[0], bodies[1], self.layout.coordinates.quaternion)
+            bodies = seen_from_first(
+                bodies[0], bodies[1], self.layout.coordinates.kind is RotationKind.quaternion
+            )
         sight = self.see(bodies)
         response = sight.response
         rates = self.accelerate(sight, (response.wrench0, response.wrench1), R_WE)

@@ -9,6 +9,7 @@ import casadi as ca
 
 from ..base.rotation import matrix_xyz, xyz_matrix, xyz_quat, xyz_rate
 from ..dae.dae import Dae
+from ..dae.members import RotationKind
 from ..scene.scene import Scene
 from . import newton_euler
 
@@ -21,11 +22,8 @@ class TaitBryan:
     axis by 90 degrees.
     """
 
-    labels: ClassVar[tuple[tuple[str, str], ...]] = (
-        ("a_x", "rad"), ("a_y", "rad"), ("a_z", "rad"),
-    )  # fmt: skip
-
-    quaternion: ClassVar[bool] = False
+    labels: ClassVar[tuple[tuple[str, str, str], ...]] = tuple(("a", axis, "rad") for axis in "xyz")
+    kind: ClassVar[RotationKind] = RotationKind.tait_bryan
 
     def write(self, scene: Scene) -> Dae:
         """The scene as a `Dae` with states <body>.p_x ... a_x ... v_x ... w_z."""

@@ -200,15 +200,16 @@ class Groups:
 
 def rates_function(model: Model) -> ca.Function:
     """(t, x, z, u, p) -> the rate kept with each row of x, which a start needs."""
-    key = "generalized_alpha rates"
-    if key not in model.memo:
+
+    def build() -> ca.Function:
         layout = Groups(model.dae)
         symbols = _symbols(model, t=1, x=model.n_x, z=model.n_z, u=model.n_u, p=model.n_p)
         rates, place = layout.rates(model, *symbols), {row: i for i, row in enumerate(layout.slots)}
         rows = [place.get(row, len(place)) for row in range(model.n_x)]
         value = ca.vertcat(rates, 0)[rows] if rows else rates
-        model.memo[key] = ca.Function("rates", symbols, [ca.densify(value)], [*"txzup"], ["rates"])
-    return model.memo[key]
+        return ca.Function("rates", symbols, [ca.densify(value)], [*"txzup"], ["rates"])
+
+    return model.cached("generalized_alpha rates", build)
 
 
 def step_function(model: Model, rho: float, tolerance: float) -> ca.Function:
@@ -224,9 +225,7 @@ def step_function(model: Model, rho: float, tolerance: float) -> ca.Function:
         tolerance: where Newton's method stops; more than 1e-15.
     """
     key = ("generalized_alpha step", rho, tolerance)
-    if key not in model.memo:
-        model.memo[key] = _Step(model, rho).function(tolerance)
-    return model.memo[key]
+    return model.cached(key, lambda: _Step(model, rho).function(tolerance))
 
 
 def _symbols(model: Model, **sizes: int) -> list[Any]:

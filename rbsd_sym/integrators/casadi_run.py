@@ -108,8 +108,21 @@ def _integrator(
     """The integrator Function, kept with the model as in `driver`."""
     fixed = all(is_constant(s) for s in e.inputs)
     key = ("events", plugin, repr(sorted(options.items())), e.t.tobytes())
-    if fixed and key in model.memo:
-        return model.memo[key]
+
+    def build() -> ca.Function:
+        return _with_events(model, e, plugin, options, instant, kept)
+
+    return model.cached(key, build) if fixed else build()
+
+
+def _with_events(
+    model: Model,
+    e: Experiment,
+    plugin: str,
+    options: Mapping[str, Any],
+    instant: float,
+    kept: list[Any],
+) -> ca.Function:
     dae = casadi_dae(model, e.inputs, kept)
     t, x, z, p, u = (dae[key] for key in ("t", "x", "z", "p", "u"))
     if not isinstance(x, ca.MX):
@@ -122,10 +135,7 @@ def _integrator(
     dae, transition = add_events(model, dae, arguments, instant)
     options = {"max_step_size": _longest(e), **options}
     grid = [float(time) for time in e.t]
-    function = casadi_events.integrator(model.name, plugin, dae, grid, transition, instant, options)
-    if fixed:
-        model.memo[key] = function
-    return function
+    return casadi_events.integrator(model.name, plugin, dae, grid, transition, instant, options)
 
 
 def _missed(

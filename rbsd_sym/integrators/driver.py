@@ -99,21 +99,20 @@ def _integrator(
     inputs, grid = experiment.inputs, [float(t) for t in experiment.t]
     fixed = all(is_constant(s) for s in inputs) and "init_xdot" not in options
     key = ("integrator", plugin, repr(sorted(options.items())), experiment.t.tobytes())
-    if fixed and key in model.memo:
-        return model.memo[key], []
     kept: list[Any] = []
-    dae = casadi_dae(model, inputs, kept)
-    del dae["u"]
-    try:
-        function = ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
-    except RuntimeError as error:
-        raise ValueError(
-            f"model '{model.name}': CasADi refuses the options {dict(options)} of {plugin} "
-            f"({str(error).strip().splitlines()[-1]}); check linear_solver and options"
-        ) from error
-    if fixed:
-        model.memo[key] = function
-    return function, kept
+
+    def build() -> ca.Function:
+        dae = casadi_dae(model, inputs, kept)
+        del dae["u"]
+        try:
+            return ca.integrator(model.name, plugin, dae, grid[0], grid[1:], dict(options))
+        except RuntimeError as error:
+            raise ValueError(
+                f"model '{model.name}': CasADi refuses the options {dict(options)} of {plugin} "
+                f"({str(error).strip().splitlines()[-1]}); check linear_solver and options"
+            ) from error
+
+    return (model.cached(key, build) if fixed else build()), kept
 
 
 def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str, Any]:
@@ -282,7 +281,7 @@ def assemble(
     columns |= {label.name: Column(u[i], label.unit) for i, label in enumerate(dae.u_labels)}
     states = tuple(label.name for label in (*dae.x_labels, *dae.z_labels))
     values = np.concatenate([experiment.p, experiment.idle])
-    labels = (*dae.p_labels, *dae.idle_p_labels)
+    labels = dae.parameters.labels
     parameters = {label.name: float(v) for label, v in zip(labels, values, strict=True)}
     return Trajectory(
         model.name,

@@ -77,13 +77,18 @@ class Stretches:
     def _integrator(self, plugin: str, looks: int, options: Mapping[str, Any]) -> ca.Function:
         constant = all(is_constant(s) for s in self.experiment.inputs)
         key = ("stretch", plugin, looks, repr(sorted(options.items())))
-        once = "init_xdot" in options  # the start is part of the options
-        memo = {} if once else self.model.memo if constant else self.own
-        if key not in memo:
-            dae = self._scaled()
+
+        def build() -> ca.Function:
             grid = [k / looks for k in range(1, looks + 1)]
-            memo[key] = ca.integrator(self.model.name, plugin, dae, 0.0, grid, dict(options))
-        return memo[key]
+            return ca.integrator(self.model.name, plugin, self._scaled(), 0.0, grid, dict(options))
+
+        if "init_xdot" in options:  # the start is part of the options
+            return build()
+        if constant:
+            return self.model.cached(key, build)
+        if key not in self.own:  # an input is a function, which may answer differently next time
+            self.own[key] = build()
+        return self.own[key]
 
     def _scaled(self) -> dict[str, Any]:
         """The DAE over s, with the start t0 and the length T of the stretch after p."""

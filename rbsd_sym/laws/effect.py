@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 
 from ..base.checks import at_default
-from ..base.symbols import Leaf, Scalar, check_identifier, is_number, leaves_of, to_expr
+from ..base.names import check_identifier
+from ..base.symbols import Leaf, Scalar, is_number, leaves_of, to_expr
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 _TURNED = {

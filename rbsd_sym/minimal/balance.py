@@ -154,8 +154,7 @@ def _with_start(dae: Dae) -> Dae:
         note = "no consistent start values found at default values; give others near a solution"
         return replace(dae, notes=(*dae.notes, note))
     labels = tuple(
-        Label(label.name, label.unit, float(value))
-        for label, value in zip(dae.z_labels, z, strict=True)
+        replace(label, start=float(value)) for label, value in zip(dae.z_labels, z, strict=True)
     )
     note = _what_moved(dae.z_labels, labels)
     return replace(dae, z_labels=labels, notes=(*dae.notes, *([note] if note else [])))

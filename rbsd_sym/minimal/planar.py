@@ -9,7 +9,7 @@ from dataclasses import replace
 import casadi as ca
 
 from ..dae.dae import Dae, Expansion
-from ..dae.members import Balance, Kinematics, Label, Part, Rotation
+from ..dae.members import Balance, Kinematics, Label, Part, Rotation, RotationKind
 
 
 def planar(dae: Dae) -> Dae:
@@ -27,15 +27,18 @@ def planar(dae: Dae) -> Dae:
     parts, gone = list(dae.parts), set()
     balances, motions, pass_on = dae.balances, dae.motions, _pass_on(dae)
     for turn in dae.rotations:
+        if turn.kind is not RotationKind.quaternion:
+            continue
         axis = _axis(rows, states, turn)
-        w_row, v_row = turn.quaternion[0], turn.quaternion[(axis or 0) + 1]
+        w_row, v_row = turn.coordinates[0], turn.coordinates[(axis or 0) + 1]
         w, v = rows[w_row], rows[v_row]
         if axis is None or w is None or v is None:
             continue
-        name = f"{turn.name}.angle_{'xyz'[axis]}"
+        value = 2 * math.atan2(labels[v].start, labels[w].start)
+        labels[w] = Label(turn.owner, "angle", "xyz"[axis], "rad", value)
+        name = labels[w].name
         x[w] = ca.SX.sym(name)
         start[w] = 2 * ca.atan2(start[v], start[w])
-        labels[w] = Label(name, "rad", 2 * math.atan2(labels[v].start, labels[w].start))
         states[w_row], states[v_row] = ca.cos(x[w] / 2), ca.sin(x[w] / 2)
         rows[w_row] = rows[v_row] = None
         parts.append(Part(name, pass_on, (turn.velocity[axis],), (), ca.SX(0, 1), (len(states),)))
@@ -78,11 +81,11 @@ def _without(dae: Dae, gone: set[int]) -> Dae:
 
 def _axis(rows: Sequence[int | None], states: Sequence[ca.SX], turn: Rotation) -> int | None:
     """The axis 0, 1, 2 of a turn of which only that component moves; None for any other turn."""
-    moving = [i for i in range(3) if rows[turn.quaternion[i + 1]] is not None]
+    moving = [i for i in range(3) if rows[turn.coordinates[i + 1]] is not None]
     if len(moving) != 1:
         return None
     idle = [i for i in range(3) if i not in moving]
-    still = [turn.quaternion[i + 1] for i in idle] + [turn.velocity[i] for i in idle]
+    still = [turn.coordinates[i + 1] for i in idle] + [turn.velocity[i] for i in idle]
     # A row without a state stands for a number here: it was frozen.
     if any(rows[row] is not None or not states[row].is_zero() for row in still):
         return None
@@ -91,7 +94,7 @@ def _axis(rows: Sequence[int | None], states: Sequence[ca.SX], turn: Rotation) -
 
 def _about_one_axis(balance: Balance, turn: Rotation, axis: int, angle: int) -> Balance:
     """The balance of a rotation that has become one angle, in row `angle`; others as they are."""
-    if balance.coordinates != turn.quaternion:
+    if balance.coordinates != turn.coordinates:
         return balance
     w = turn.velocity[axis : axis + 1]
     idle = w if w[0] in balance.idle else ()
@@ -102,11 +105,13 @@ def _about_one_axis(balance: Balance, turn: Rotation, axis: int, angle: int) -> 
 
 def _angle(motion: Kinematics, turn: Rotation, axis: int, angle: int) -> Kinematics:
     """The motion of a rotation that has become one angle, in row `angle`; others as they are."""
-    if motion.coordinates != turn.quaternion:
+    if motion.coordinates != turn.coordinates:
         return motion
     a, step = ca.SX.sym("a"), ca.SX.sym("step")
     added = ca.Function("retract", [a, step], [a + step])
-    return Kinematics(motion.name, (angle,), turn.velocity[axis : axis + 1], added)
+    return Kinematics(
+        motion.owner, motion.quantity, (angle,), turn.velocity[axis : axis + 1], added
+    )
 
 
 def _pass_on(dae: Dae) -> ca.Function:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ..base.names import derivative
 from ..dae.dae import Dae
 from .kernels import Group, groups, output_groups
 
@@ -155,13 +156,18 @@ class Assembly:
     def assembled(self, name: str) -> Assembled:
         """Ode, alg, out or a derivative of one, in pieces."""
         if name not in self._known:
-            f, _, kind = name.partition("_")
-            if name in self.outputs:
+            found = derivative(name)
+            if found is None:
                 self._known[name] = self._value(name)
-            elif f in self.outputs:
-                self._known[name] = getattr(self, f"_{kind}")(f)
+            elif found.by:
+                self._known[name] = self._jacobian(found.of, found.by)
             else:
-                self._known[name] = self._jacobian(*name[1:].split("_d"))
+                second = {
+                    "hessian": self._hessian,
+                    "forward": self._forward,
+                    "adjoint": self._adjoint,
+                }
+                self._known[name] = second[found.kind](found.of)
         return self._known[name]
 
     def _value(self, name: str) -> Assembled:

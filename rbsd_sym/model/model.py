@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
 
+from ..base.names import c_name, derivative
 from ..base.newton import newton
 from ..base.spectra import growth_exponent, growth_rates
 from ..dae.dae import Dae, table
@@ -25,9 +25,8 @@ _PROPAGATED = 60  # states left out, up to which their propagator is affordable
 _POINTS = 400  # for it
 _FEW_PARTS = 20
 _MANY_OPERATIONS = 4_000  # of ode; beyond it flat code takes long to compile, and gains little
-_JACOBIAN = re.compile(r"d(ode|alg|out|zero)_d([txzup])")
-_MAPPED = re.compile(r"ode|alg|out|d(ode|alg|out)_d[txzup]")
-_DIRECTIONAL = re.compile(r"(ode|alg|out)_(hessian|forward|adjoint)")
+
+Built = TypeVar("Built")
 
 
 class Growth(NamedTuple):
@@ -71,7 +70,7 @@ class Model:
     reduction: Reduction | None = None
     kernels: bool = False
     library: Mapping[str, ca.Function] = field(default_factory=dict, repr=False)
-    memo: dict[Any, Any] = field(default_factory=dict, repr=False)
+    _cache: dict[Hashable, Any] = field(default_factory=dict, repr=False, init=False)
     scene: object | None = field(default=None, repr=False)
 
     @property
@@ -146,27 +145,40 @@ class Model:
             return self.dae.update
         if name == "states":
             return self.dae.measured
-        match = _JACOBIAN.fullmatch(name)
-        if match:
-            return ca.jacobian(getattr(self.dae, match[1]), getattr(self.dae, match[2]))
+        found = derivative(name)
+        if found and found.by:
+            return ca.jacobian(getattr(self.dae, found.of), getattr(self.dae, found.by))
         return self.dae.output(name)
+
+    def cached(self, key: Hashable, build: Callable[[], Built]) -> Built:
+        """Return what `build` makes, built at the first call with this key and kept with the model.
+
+        It is the only way into the cache, for this class and for what is derived from a model, such
+        as integrators and tangent coordinates. The key names what is built, and all that it depends
+        on beside the model.
+        """
+        if key not in self._cache:
+            self._cache[key] = build()
+        return self._cache[key]
 
     def function(self, name: str) -> ca.Function:
         """The CasADi Function of that name, built at the first call."""
         if name in self.library:
             return self.library[name]
-        mapped = self.kernels and _MAPPED.fullmatch(name)
-        if name not in self.memo and name == "zero_rate":
-            self.memo[name] = self._zero_rate()
-        if name not in self.memo and (mapped or _DIRECTIONAL.fullmatch(name)):
-            self.memo[name] = self.assembly.function(name)
-        if name not in self.memo:
-            safe, expression = name.replace(".", "_"), self.expression(name)
-            defaults = [label.start for label in self.dae.idle_p_labels]
-            if defaults:
-                expression = ca.substitute(expression, self.dae.idle_p, ca.DM(defaults))
-            self.memo[name] = ca.Function(safe, self.symbols, [expression], list("txzup"), [safe])
-        return self.memo[name]
+        return self.cached(("function", name), lambda: self._built(name))
+
+    def _built(self, name: str) -> ca.Function:
+        if name == "zero_rate":
+            return self._zero_rate()
+        found = derivative(name)
+        mapped = found.of != "zero" if found else name in ("ode", "alg", "out")
+        if (found and not found.by) or (self.kernels and mapped):
+            return self.assembly.function(name)
+        safe, expression = c_name(name), self.expression(name)
+        defaults = [label.start for label in self.dae.parameters.idle]
+        if defaults:
+            expression = ca.substitute(expression, self.dae.idle_p, ca.DM(defaults))
+        return ca.Function(safe, self.symbols, [expression], list("txzup"), [safe])
 
     def _zero_rate(self) -> ca.Function:
         """Total time derivative of the zero functions along the solution."""
@@ -189,9 +201,7 @@ class Model:
         """The model with functions of its own in place of compiled ones."""
         if not self.library:
             return self
-        if "plain" not in self.memo:
-            self.memo["plain"] = replace(self, library={}, memo={})
-        return self.memo["plain"]
+        return self.cached("plain", lambda: replace(self, library={}))
 
     @property
     def calls(self) -> bool:
@@ -201,9 +211,7 @@ class Model:
     @property
     def assembly(self) -> Assembly:
         """The model as groups of kernels."""
-        if "assembly" not in self.memo:
-            self.memo["assembly"] = Assembly(self.dae)
-        return self.memo["assembly"]
+        return self.cached("assembly", lambda: Assembly(self.dae))
 
     def consistent(
         self, t: float, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray
@@ -218,13 +226,20 @@ class Model:
 
     def _over_all_parameters(self, name: str) -> ca.Function:
         """The function of that name with the parameters without effect on the model after p."""
-        key = f"all parameters {name}"
-        if not self.dae.idle_p_labels:
+        if not self.dae.parameters.idle:
             return self.function(name)
-        if key not in self.memo:
-            arguments = [*self.symbols[:4], ca.vertcat(self.dae.p, self.dae.idle_p)]
-            self.memo[key] = ca.Function("measure", arguments, [self.expression(name)])
-        return self.memo[key]
+        return self._measuring((name,))
+
+    def _measuring(self, names: tuple[str, ...]) -> ca.Function:
+        """Function of t, x, z, u and all parameters -> what each name means."""
+
+        def build() -> ca.Function:
+            arguments = [*self.symbols[:4], self.dae.parameters.symbols]
+            return ca.Function(
+                "measure", arguments, [ca.densify(self.expression(name)) for name in names]
+            )
+
+        return self.cached(("measure", names), build)
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -254,12 +269,8 @@ class Model:
         together = [name for name in dict.fromkeys(names) if name in self.dae.outputs]
         if len(together) < 2:
             return [self.measure(name, trajectory) for name in names]
-        key = "measure " + ", ".join(together)
-        if key not in self.memo:
-            arguments = [*self.symbols[:4], ca.vertcat(self.dae.p, self.dae.idle_p)]
-            results = [ca.densify(self.expression(name)) for name in together]
-            self.memo[key] = ca.Function("measure", arguments, results)
-        values = self.memo[key].call([ca.DM(a) for a in self._arguments(trajectory)])
+        function = self._measuring(tuple(together))
+        values = function.call([ca.DM(a) for a in self._arguments(trajectory)])
         found = {name: self._column(name, v) for name, v in zip(together, values, strict=True)}
         return [found[name] if name in found else self.measure(name, trajectory) for name in names]
 
@@ -307,7 +318,7 @@ class Model:
     def _arguments(self, trajectory: Trajectory) -> list[np.ndarray]:
         """Columns t, x, z, u and all parameters along a trajectory, one a point."""
         dae = self.dae
-        groups = (dae.x_labels, dae.z_labels, dae.u_labels, (*dae.p_labels, *dae.idle_p_labels))
+        groups = (dae.x_labels, dae.z_labels, dae.u_labels, dae.parameters.labels)
         columns = [self._columns(trajectory, labels) for labels in groups]
         return [trajectory.t[None, :], *columns]
 

@@ -67,7 +67,7 @@ def locate(
     if isinstance(x, Trajectory):
         return _changed(model, _saved(model, x, t), z, inputs, params, None)
     time = _number(0.0 if t is None else t, f"{where}, time", "s")
-    every = (*model.dae.p_labels, *model.dae.idle_p_labels)
+    every = model.dae.parameters.labels
     values = filled(model, "parameter", every, [v.start for v in every], params)
     p, idle = values[: model.n_p], values[model.n_p :]
     x0, z0 = model.dae.start_values(p)
@@ -86,7 +86,7 @@ def _changed(
         )
     if t is not None:
         point = replace(point, t=_number(t, f"model '{model.name}', time", "s"))
-    every = (*model.dae.p_labels, *model.dae.idle_p_labels)
+    every = model.dae.parameters.labels
     values = filled(model, "parameter", every, [*point.p, *point.idle], params)
     point = replace(point, p=values[: model.n_p], idle=values[model.n_p :])
     if inputs:

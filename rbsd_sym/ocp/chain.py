@@ -179,8 +179,8 @@ def _interval_rows(
     """Bounds, labels, places and kinds of the rows of an interval, after what it hands on."""
     path, between, own = frame.terms[i].path.rows, interval.limits, groups(frame)
     blocks: dict[str, tuple[Sequence[Label], tuple[np.ndarray, np.ndarray] | None]] = {
-        "rate": ([Label(f"rate of {v.name}", v.unit) for v in own["x"]], None),
-        "alg": ([Label(f"balance of {v.name}", v.unit) for v in own["z"]], None),
+        "rate": ([Label("", f"rate of {v.name}", "", v.unit) for v in own["x"]], None),
+        "alg": ([Label("", f"balance of {v.name}", "", v.unit) for v in own["z"]], None),
         "path": (path.labels, (path.low, path.high)),
         "between": (between.labels, (between.low, between.high)),
     }
@@ -194,7 +194,7 @@ def _interval_rows(
         labels += rows
         when += [tau] * len(rows)
         kinds += ["path" if sides else kind] * len(rows)
-    names = tuple(Label(f"motion of {v.name}", v.unit) for v in _y_labels(frame))
+    names = tuple(Label("", f"motion of {v.name}", "", v.unit) for v in _y_labels(frame))
     both = np.concatenate(low), np.concatenate(high)
     return *both, (*names, *labels), np.array(when), tuple(kinds)
 
@@ -213,7 +213,7 @@ def _node(frame: Frame, i: int, end: End, guess: Start, first: bool, last: bool)
     labels = (*_y_labels(frame), *unknowns)
     lower, upper = np.vstack([low, -far]), np.vstack([high, far])
     start = np.clip(np.vstack([values, guess.z(i, at)[:n_z]]), lower, upper)
-    names = tuple(Label(f"link of {v.name}", v.unit) for v in _y_labels(frame))
+    names = tuple(Label("", f"link of {v.name}", "", v.unit) for v in _y_labels(frame))
     rows = (*names[: 0 if final else frame.n_y], *unknowns, *end.labels)
     balance = np.zeros(n_z)
     return Segment(

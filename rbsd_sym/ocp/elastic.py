@@ -47,7 +47,7 @@ def loosened(part: Segment, kind: str, box: np.ndarray | None = None) -> Segment
         low=np.vstack([whole.low, none]),
         high=np.vstack([whole.high, none + np.inf]),
         guess=np.vstack([part.guess, none]),
-        variables=(*part.variables, *(Label(MISSED, "") for _ in range(2 * n))),
+        variables=(*part.variables, *(Label("", MISSED, "", "") for _ in range(2 * n))),
         when=(np.append(part.when[0], np.zeros(2 * n)), whole.when[1]),
     )
 

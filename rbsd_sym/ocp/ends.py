@@ -58,7 +58,7 @@ def at_start(frame: Frame, i: int) -> End:
             if not all(box[0, r] == box[1, r] for r in turn):
                 q = x[list(turn)]
                 name = frame.model.x_labels[turn[0]].name.rpartition(".")[0]
-                extra.add(Label(f"norm of {name}'s quaternion", ""), ca.dot(q, q), 1.0)
+                extra.add(Label("", f"norm of {name}'s quaternion", "", ""), ca.dot(q, q), 1.0)
         if frame.problem.periodic:
             for label, k in zip(frame.model.x_labels, range(frame.model.n_x), strict=True):
                 extra.add(label, x[k] - frame.start_copy(s)[k])
@@ -72,14 +72,16 @@ def at_end(frame: Frame, i: int) -> End:
     if frame.problem.periodic and i == frame.n_phases - 1:
         before, labels = frame.start_copy(s), frame.model.x_labels
         for k in frame.cyclic:
-            extra.add(Label(f"return of {labels[k].name}", labels[k].unit), x[k] - before[k])
+            extra.add(
+                Label("", f"return of {labels[k].name}", "", labels[k].unit), x[k] - before[k]
+            )
         for turn in frame.cyclic_turns:
             rows_ = list(turn)
             name = labels[turn[0]].name.rpartition(".")[0]
             for axis, expr in zip(
                 "xyz", ca.vertsplit(error_vector(before[rows_], x[rows_])), strict=True
             ):
-                extra.add(Label(f"return of {name}'s rotation_{axis}", "rad"), expr)
+                extra.add(Label("", f"return of {name}'s rotation_{axis}", "", "rad"), expr)
     return _end(frame, box, rows, extra, x, s)
 
 
@@ -218,4 +220,4 @@ def _add_by_params(frame: Frame, extra: _Extra, x: ca.SX, s: ca.SX) -> None:
         ca.vertcat(ca.SX(0, 1), *parameters[: frame.model.n_p])
     )
     for name, k in rows.items():
-        extra.add(Label(f"start of {name}", dae.x_labels[k].unit), x[k] - start[k])
+        extra.add(Label("", f"start of {name}", "", dae.x_labels[k].unit), x[k] - start[k])

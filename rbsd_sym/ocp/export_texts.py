@@ -86,11 +86,13 @@ def _codes(upper: str, solver: bool) -> list[tuple[str, int, str]]:
 def _groups(made: Parametric) -> list[tuple[str, str, tuple[Label, ...]]]:
     frame = made.frame
     states = tuple(
-        Label(v.name, v.unit, float(value))
+        Label("", v.name, "", v.unit, float(value))
         for v, value in zip(frame.model.x_labels, made.state, strict=True)
     )
     inputs = tuple(frame.model.dae.u_labels[k] for k in frame.controls)
-    constants = tuple(Label(v.name.replace(" ", "_"), v.unit, v.start) for v in frame.s_labels)
+    constants = tuple(
+        Label("", v.name.replace(" ", "_"), "", v.unit, v.start) for v in frame.s_labels
+    )
     return [
         ("x", "Measured states: unit, default value.", states),
         ("u", "Inputs that are found: unit, default value.", inputs),

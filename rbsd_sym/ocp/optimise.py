@@ -249,7 +249,7 @@ def _solution(
         path = across_reduction(frame.model, path)
         if path.outcome is Reached.unstable_across_reduction:
             outcome, report = Outcome.unstable_across_reduction, path.report
-    labels = (*frame.model.dae.p_labels, *frame.model.dae.idle_p_labels)
+    labels = frame.model.dae.parameters.labels
     values = [float(value) for value in frame.parameters(plan.s)]
     functions = chain.nlp.functions
     stats |= {

@@ -119,7 +119,7 @@ def _widened(problem: Problem, frame: Frame) -> Problem:
     """Horizons and Params that are given as constants to be found."""
     dae = frame.model.dae
     params = dict(problem.params)
-    for label in (*dae.p_labels, *dae.idle_p_labels):
+    for label in dae.parameters.labels:
         value = params.get(label.name, label.start)
         params[label.name] = value if isinstance(value, Free) else Free(float(value))
     return replace(problem, phases=[_open(phase) for phase in problem.stretches], params=params)
@@ -172,7 +172,7 @@ class _Lowering:
 def _argument(label: Label) -> Label:
     head, _, number = label.name.rpartition(" ")
     horizon = head == "horizon of phase"
-    return Label(f"horizon_{number}" if horizon else label.name, label.unit, label.start)
+    return Label("", f"horizon_{number}" if horizon else label.name, "", label.unit, label.start)
 
 
 def _without(n: int, taken: Sequence[int]) -> list[int]:

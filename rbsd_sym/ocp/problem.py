@@ -206,7 +206,7 @@ def _check_inputs(model: Model, inputs: Mapping[str, Any]) -> None:
 
 
 def _check_params(model: Model, params: Mapping[str, Any]) -> None:
-    labels = (*model.dae.p_labels, *model.dae.idle_p_labels)
+    labels = model.dae.parameters.labels
     names = [label.name for label in labels]
     for name, value in params.items():
         if name not in names:

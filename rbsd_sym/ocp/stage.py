@@ -107,7 +107,7 @@ class Frame:
         """All parameters, those without effect on the motion last."""
         dae, given = self.model.dae, self.problem.params
         place, found = sum(p is not None for p in self._horizons), []
-        for label in (*dae.p_labels, *dae.idle_p_labels):
+        for label in dae.parameters.labels:
             value = given.get(label.name, label.start)
             if isinstance(value, Free):
                 found.append(s[place])
@@ -260,11 +260,14 @@ def _small(model: Model) -> Model:
     """The minimal model of the same scene, if it is known."""
     if model.reduction is not None or not isinstance(model.scene, Scene):
         return model
-    if "minimal" not in model.memo:
+    scene = model.scene
+
+    def build() -> Model:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ModelWarning)  # of this scene they are out
-            model.memo["minimal"] = compile_scene(model.scene, _coordinates(model))
-    return model.memo["minimal"]
+            return compile_scene(scene, _coordinates(model))
+
+    return model.cached("minimal", build)
 
 
 def _coordinates(model: Model) -> Quaternion | TaitBryan:
@@ -323,14 +326,16 @@ def _constants(problem: Problem, model: Model) -> tuple[tuple[Label, ...], np.nd
     for i, phase in enumerate(problem.stretches):
         if isinstance(phase.horizon, Free):
             free.append((f"horizon of phase {i}", "s", phase.horizon, None))
-    for label in (*model.dae.p_labels, *model.dae.idle_p_labels):
+    for label in model.dae.parameters.labels:
         value = problem.params.get(label.name)
         if isinstance(value, Free):
             free.append((label.name, label.unit, value, label.start))
-    labels = [Label(name, unit, value.start(default)) for name, unit, value, default in free]
+    labels = [
+        Label("", name, "", unit, value.start(default)) for name, unit, value, default in free
+    ]
     low, high = [value.low for _, _, value, _ in free], [value.high for _, _, value, _ in free]
     if problem.periodic:
-        labels += [Label(f"start of {v.name}", v.unit, v.start) for v in model.x_labels]
+        labels += [Label("", f"start of {v.name}", "", v.unit, v.start) for v in model.x_labels]
         low += [-np.inf] * model.n_x
         high += [np.inf] * model.n_x
     return tuple(labels), np.array(low, float), np.array(high, float)

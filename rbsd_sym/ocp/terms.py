@@ -134,7 +134,7 @@ def _conditions(at_rest: _Still, names: Names, given: Mapping[str, Any], where: 
         place = f"{where} '{name}'"
         if isinstance(value, Bound):
             expr = trace(names, value.expression, place)
-            row = (Label(name, value.unit), expr, value.low, value.high)
+            row = (Label("", name, "", value.unit), expr, value.low, value.high)
             rows += _moving(at_rest, name, [row])
             continue
         if name in at_rest.values:
@@ -153,7 +153,7 @@ def _conditions(at_rest: _Still, names: Names, given: Mapping[str, Any], where: 
             rows += _moving(at_rest, name, _error_rows(names, body, target))
             continue
         parts = [f"{name}_{part}" if part else name for part in names.components(name)]
-        labels = [Label(part, unit) for part in parts]
+        labels = [Label("", part, "", unit) for part in parts]
         rows += _moving(
             at_rest, name, list(zip(labels, ca.vertsplit(column), low, high, strict=True))
         )
@@ -230,7 +230,7 @@ def _error_rows(
     """Three equations: the rotation error is zero. See `error_vector`."""
     error = error_vector(ca.SX(target), names.column(f"{body}.quaternion")[0])
     return [
-        (Label(f"{body}.rotation error_{axis}", "rad"), cell, 0.0, 0.0)
+        (Label("", f"{body}.rotation error_{axis}", "", "rad"), cell, 0.0, 0.0)
         for axis, cell in zip("xyz", ca.vertsplit(error), strict=True)
     ]
 

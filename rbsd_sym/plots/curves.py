@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..base.names import titled
 from ..model.trajectory import Trajectory
 from .style import COLOURS, STYLES
 
@@ -39,7 +40,7 @@ def trajectory(trajectory: Trajectory, columns: Sequence[str]) -> Figure:
             style = STYLES[(i // len(COLOURS) + i) % len(STYLES)]
             colour = COLOURS[i % len(COLOURS)]
             panel.plot(trajectory.t, values[:, i], style, color=colour, label=label, lw=1.5)
-        quantity = name.split(".")[-1].replace("_", " ")
+        quantity = titled(name)
         panel.set_ylabel(f"{quantity} [{column.unit}]" if column.unit else quantity)
         panel.set_title(name, loc="left", fontsize="medium")
         panel.grid(alpha=0.3)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..base.names import titled
 from .motion_camera import Camera, back_to_front, camera, hidden, level
 from .motion_track import Track
 from .shapes import FACES, NORMALS, arrow_head, corners, nice_step, spring
@@ -191,7 +192,7 @@ class Stage:
             label = column.components[i] if len(column.components) == many else str(i)
             style = STYLES[(i // len(COLOURS) + i) % len(STYLES)]
             panel.plot(t, values[:, i], style, color=COLOURS[i % len(COLOURS)], lw=1.3, label=label)
-        quantity = name.split(".")[-1].replace("_", " ")
+        quantity = titled(name)
         panel.set_title(name, loc="left", fontsize=9)
         panel.set_xlabel("time [s]", fontsize=8)
         unit = f" [{column.unit}]" if column.unit else ""

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..base import checks
-from ..base.symbols import Param, Scalar, check_identifier, is_number, leaves_of
+from ..base.names import check_identifier
+from ..base.symbols import Param, Scalar, is_number, leaves_of
 from ..laws import AXES, Effect, Law, Own, Standard
 
 GROUND = "ground"

@@ -10,17 +10,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..base.symbols import (
-    TIME,
-    Leaf,
-    Param,
-    Scalar,
-    check_identifier,
-    is_number,
-    leaves_of,
-    to_array,
-    to_expr,
-)
+from ..base.names import check_identifier
+from ..base.symbols import TIME, Leaf, Param, Scalar, is_number, leaves_of, to_array, to_expr
 
 _FORCE = (
     "(mbs, t, item, displacement, rotation, velocity, angular_velocity, stiffness, damping, "

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..base import checks
-from ..base.symbols import TIME, Input, Leaf, Param, Scalar, check_identifier, is_number, leaves_of
+from ..base.names import check_identifier
+from ..base.symbols import TIME, Input, Leaf, Param, Scalar, is_number, leaves_of
 from ..mechanics.quantities import SCENE_QUANTITIES
 from .elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
 from .functions import Traced, trace_events, trace_force, trace_post_newton

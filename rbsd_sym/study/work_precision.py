@@ -138,8 +138,8 @@ class ErrorOf:
     """The error of a trajectory against a reference: its largest parts over time and bodies."""
 
     def __init__(self, model: Model, reference: Trajectory) -> None:
-        ending = ".angular_velocity"
-        self.bodies = [n.removesuffix(ending) for n in model.dae.outputs if n.endswith(ending)]
+        owners = (o.owner for o in model.dae.outputs.values() if o.quantity == "angular_velocity")
+        self.bodies = list(owners)
         if not self.bodies:
             raise ValueError(f"model '{model.name}': no bodies to compare")
         self.t, self._exact = reference.t, _motions(reference, self.bodies)
