@@ -221,12 +221,12 @@ def _stability(options: argparse.Namespace) -> None:
         return
     inputs, params = getattr(file, "INPUTS", {}), _settings(options.set)
     with _progress(f"looking for rest of {model.name}"):
-        rest = rs.static_equilibrium(model, None, inputs, params)
+        rest = rs.static_equilibrium(model, inputs=inputs, params=params)
     print(rest)
     units = {label.name: label.unit for label in (*model.x_labels, *model.dae.z_labels)}
     for name, value in rest.state.items():
         print(f"  {name} = {value:.6g} {units[name]}".rstrip())
-    print(rs.linearize(model, rest.point))
+    print(rs.linearize(model, rest))
 
 
 def _map(options: argparse.Namespace, model: rs.Model, asked: dict[str, Any]) -> None:

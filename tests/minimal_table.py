@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import rbsd_sym as rs
-from rbsd_sym.pipeline import make_experiment
+from rbsd_sym.model.values import make_experiment
 
 RUNS = 5
 IDAS = rs.Idas(rtol=1e-8, atol=1e-10)

@@ -283,9 +283,10 @@ def test_simulators_of_both_layouts(method: Any, tmp_path: Path) -> None:
 
 def test_trajectories_of_simulators(tmp_path: Path) -> None:
     """Columns, outputs with a model, files, restarts."""
-    artefact, given = rs.export_simulator(driven(), tmp_path, DOP), ({}, {"k": 50.0}, {"pull": 3.0})
+    artefact = rs.export_simulator(driven(), tmp_path, DOP)
+    given = {"params": {"k": 50.0}, "inputs": {"pull": 3.0}}
     simulator, bare = rs.load_simulator(artefact, driven()), rs.load_simulator(tmp_path)
-    found, same = simulator(2.0, *given, 40), rs.simulate(driven(), GRID, DOP, *given[::-1])
+    found, same = simulator(2.0, **given, points=40), rs.simulate(driven(), GRID, DOP, **given)
     assert list(found.columns) == ["b.p_x", "b.v_x", "pull"]
     for name in ("b.p_x", "pull", "k", "energy", "b.position", "c.force_local", "b.p_z"):
         assert found[name].shape == same[name].shape
@@ -296,15 +297,15 @@ def test_trajectories_of_simulators(tmp_path: Path) -> None:
         bare(2.0)["energy"]
     loaded = rs.Trajectory.load(found.save(tmp_path / "run"))
     assert np.array_equal(loaded["energy"], found["energy"])
-    half = simulator(1.0, *given, 20)
-    rest = bare(2.0, half.state_at_end, *given[1:], 20, t_start=1.0)
+    half = simulator(1.0, **given, points=20)
+    rest = bare(2.0, start=half.state_at_end, **given, points=20, t_start=1.0)
     assert np.abs(rest["b.p_x"] - found["b.p_x"][20:]).max() < 1e-8
 
 
 def test_restart_with_unknowns(tmp_path: Path) -> None:
     simulator = rs.load_simulator(rs.export_simulator(test_simulator.kelvin(), tmp_path, ROS))
     half = simulator(0.2, points=2)
-    rest = simulator(0.4, half.state_at_end, points=2, t_start=0.2)
+    rest = simulator(0.4, start=half.state_at_end, points=2, t_start=0.2)
     assert rest["a.p_x"][-1] == pytest.approx(simulator(0.4)["a.p_x"][-1], rel=1e-7)
 
 

@@ -17,7 +17,7 @@ import rbsd_sym as rs
 from rbsd_sym.integrators.alpha_step import Groups, rates_function, step_function
 from rbsd_sym.integrators.generalized_alpha import GeneralizedAlpha, Stepper
 from rbsd_sym.model.trajectory import Outcome
-from rbsd_sym.pipeline import make_experiment
+from rbsd_sym.model.values import make_experiment
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 

@@ -15,7 +15,8 @@ import reference_scenes
 import speed_scenes
 
 import rbsd_sym as rs
-from rbsd_sym.study.pilot import modes, start_of
+from rbsd_sym.model.values import make_experiment
+from rbsd_sym.study.pilot import modes
 
 EXPLICIT = (rs.Dop853, rs.ExplicitRK, rs.RK4)
 
@@ -132,12 +133,13 @@ def test_inputs_params_and_start_are_heard() -> None:
 def test_modes_of_a_known_system() -> None:
     """1 and 1e4 rad/s, undamped; with unknowns they are those of the reduced motion."""
     trajectory = rs.simulate(ringing(), [0.0, 0.1])
-    found = modes(ringing(), trajectory, start_of(ringing(), 0.1, {}))
+    found = modes(ringing(), trajectory, make_experiment(ringing(), 0.1))
     assert found.fastest == pytest.approx(1e4, rel=1e-9)
     assert abs(found.damping) < 1e-9
     assert found.ringing == pytest.approx(1e4, rel=1e-9)
     damped = rs.simulate(stiff(), [0.0, 1e-3])
-    assert modes(stiff(), damped, start_of(stiff(), 1e-3, {})).damping == pytest.approx(1, abs=0.01)
+    found = modes(stiff(), damped, make_experiment(stiff(), 1e-3))
+    assert found.damping == pytest.approx(1, abs=0.01)
     a, b = rs.RigidBody("a", 0, 0), rs.RigidBody("b", 2.0, (1, 1, 1), velocity=(1, 0, 0))
     joints = [
         rs.RigidBodySpringDamper(f"c{i}", rs.Marker(one), rs.Marker(other), [k] + [500] * 5)
@@ -147,7 +149,7 @@ def test_modes_of_a_known_system() -> None:
     path = rs.simulate(series, [0.0, 0.1])
     w = math.sqrt(300 * 200 / 500 / 2.0)
     assert series.n_z == 1
-    assert modes(series, path, start_of(series, 0.1, {})).fastest == pytest.approx(w, rel=1e-9)
+    assert modes(series, path, make_experiment(series, 0.1)).fastest == pytest.approx(w, rel=1e-9)
 
 
 @pytest.mark.parametrize(("options", "message"), [

@@ -194,7 +194,7 @@ def test_restart_continues_the_trajectory(driven: rs.Model, integrator: Any) -> 
     whole = rs.simulate(driven, GRID, integrator, inputs=inputs)
     first = rs.simulate(driven, GRID[:21], integrator, inputs=inputs)
     assert set(first.state_at_end) == {label.name for label in driven.x_labels}
-    second = rs.simulate(driven, GRID[20:], integrator, inputs, start=first.state_at_end)
+    second = rs.simulate(driven, GRID[20:], integrator, inputs=inputs, start=first.state_at_end)
     assert second.t[0] == first.t[-1]
     for name in ("b.position", "b.velocity", "c.force_local"):
         joined = np.concatenate([first[name], second[name][1:]])

@@ -196,8 +196,9 @@ def test_order_of_one_step_and_of_its_interpolant(load: Load) -> None:
 def test_samples(method: Any, load: Load) -> None:
     """Linear between, constant outside; the closed form, for Python too."""
     t, f = motions.KNOTS, motions.FORCES
-    found = load(driven(), method)(2.0, {}, {}, {"pull": (t, f)}, 40, rtol=1e-10, atol=1e-12)
-    same = rs.simulate(driven(), GRID, type(method)(1e-10, 1e-12), {"pull": (t, f)})
+    given = {"inputs": {"pull": (t, f)}}
+    found = load(driven(), method)(2.0, **given, points=40, rtol=1e-10, atol=1e-12)
+    same = rs.simulate(driven(), GRID, type(method)(1e-10, 1e-12), **given)
     exact = motions.piecewise_linear(GRID, np.array([0, *t, 2]), np.array([1, *f, 1]), 0.0, 0.5)
     for trajectory in (found, same):
         assert np.abs(trajectory["b.p_x"] - exact).max() < 10 * CLOSE
@@ -210,7 +211,7 @@ def test_time_in_the_scene_and_driven_offsets_from_another_start(method: Any, lo
     assert (model.n_x, model.n_u) == (6, 1)
     tight = {"inputs": {"place": place}, "rtol": 1e-10, "atol": 1e-12}
     found = load(model, method)(1.5, t_start=0.5, points=20, **tight)
-    exact = rs.simulate(model, found.t, rs.Idas(1e-11, 1e-13), {"place": place})
+    exact = rs.simulate(model, found.t, rs.Idas(1e-11, 1e-13), inputs={"place": place})
     assert np.abs(states(model, found) - states(model, exact)).max() < 1e-7
     unmoved = load(model, method)(1.0, points=20, **tight)
     assert np.abs(states(model, unmoved) - states(model, exact)).max() > 1e-2

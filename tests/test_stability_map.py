@@ -110,7 +110,7 @@ def test_a_top_sleeps_when_it_spins_fast_enough() -> None:
     start = {"bar.p_z": 0.5 - 9.81e-6}
     for factor in (0.97, 1.03):
         w = factor * critical
-        found = floquet(model, 2 * math.pi / w, {**start, "bar.w_z": w})
+        found = floquet(model, 2 * math.pi / w, start={**start, "bar.w_z": w})
         # Nutation and precession, in axes at rest: A s^2 - i C w s - m g l = 0.
         roots = np.roots([A, -1j * C * w, -weight])
         assert found.abscissa == pytest.approx(max(roots.real.max(), 0), rel=5e-3, abs=1e-3)
@@ -125,14 +125,14 @@ def test_newtons_method_finds_the_periodic_motion() -> None:
     load = rs.Load("l", rs.Marker("b"), (0, rs.Input("pull", "N"), 0))
     model = rs.compile_scene(rs.Scene("driven", [body], [spring], [load]))
     found = floquet(
-        model, 2 * math.pi / w, {"b.p_y": 0.3}, inputs={"pull": lambda t: F * np.sin(w * t)}
+        model, 2 * math.pi / w, start={"b.p_y": 0.3}, inputs={"pull": lambda t: F * np.sin(w * t)}
     )
     response = F / (k - w * w + 1j * w * d)
     assert found.start["b.p_y"] == pytest.approx(response.imag, abs=1e-9)
     assert found.start["b.v_y"] == pytest.approx(w * response.real, abs=1e-8)
     assert found.abscissa == pytest.approx(-d / 2, rel=1e-6)
     with pytest.raises(NotPeriodic, match=r"a period of 1 s later .* other rates"):
-        floquet(model, 1.0, {"b.p_y": 0.3}, inputs={"pull": lambda t: F * t})
+        floquet(model, 1.0, start={"b.p_y": 0.3}, inputs={"pull": lambda t: F * t})
 
 
 def test_a_motion_that_does_not_come_back_is_told() -> None:

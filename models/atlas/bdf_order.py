@@ -39,7 +39,7 @@ from rbsd_sym import (
     simulate,
 )
 from rbsd_sym.integrators.driver import Run, Verdict, run
-from rbsd_sym.model.trajectory import Experiment
+from rbsd_sym.model.values import Experiment
 from rbsd_sym.plots.style import COLOURS
 from rbsd_sym.study import Table
 

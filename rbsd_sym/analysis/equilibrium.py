@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, NamedTuple
@@ -12,7 +11,8 @@ import numpy as np
 
 from ..base.linalg import Slope, named_directions
 from ..model.model import Model
-from ..model.values import Point, Where, locate
+from ..model.signals import Inputs
+from ..model.values import Params, Point, Start, locate
 from .tangent import Chart, chart_of, left_inverse
 
 _SETTLED = 1e-12  # last step, relative to 1 + |value|
@@ -54,7 +54,7 @@ class Equilibrium:
     """A rest of a model, or how far the search for it came.
 
     Fields:
-        point: t, x, z, u, p; `linearize(model, equilibrium.point)` tells whether it is stable.
+        point: t, x, z, u, p; `linearize(model, equilibrium)` tells whether it is stable.
         x, z: values of states and unknowns by name, as `simulate(start=...)` takes them.
         outcome, report: how the search ended, and the full sentence.
         residual: largest rate, or algebraic residual, that is left, in SI units of its row.
@@ -84,9 +84,10 @@ class Equilibrium:
 
 def static_equilibrium(
     model: Model,
-    start: Where = None,
-    inputs: Mapping[str, Any] | None = None,
-    params: Mapping[str, float] | None = None,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
     t: float = 0.0,
     iterations: int = 100,
     throw: bool = True,
@@ -101,9 +102,9 @@ def static_equilibrium(
     equilibria it finds depends on the start, and it may be unstable: `linearize` tells.
 
     Arguments:
-        start: near which to look, as for `linearize`; its velocities count as zero. Data states
-            keep their values.
         inputs, params: by name; the others keep their default.
+        start: states near which to look, as for `simulate`; velocities count as zero. Data states
+            keep their values.
         t: s, for scenes that depend on time.
         iterations: at most.
         throw: raise a failure; otherwise it is data in `equilibrium.outcome`.
@@ -112,7 +113,7 @@ def static_equilibrium(
         ValueError: unknown names, values that are no finite numbers.
         EquilibriumError: no rest was found.
     """
-    point = locate(model, start, None, inputs, params, t)
+    point = locate(model, inputs=inputs, params=params, start=start, t=t)
     problem = _Problem(model, _stopped(model, point))
     outcome, count = problem.search(iterations)
     result = problem.result(outcome, count)

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ..integrators import Idas
 from ..model.model import Model
+from ..model.signals import Inputs
 from ..model.trajectory import Trajectory
-from ..model.values import Point, Where, locate
-from ..pipeline import IntegrationError, Integrator, make_experiment
+from ..model.values import Params, Point, Start, locate, make_experiment
+from ..pipeline import IntegrationError, Integrator
 from .linearize import balanced, left_out_tangent
 from .tangent import Chart, chart_of, left_inverse
 
@@ -89,22 +90,23 @@ class Floquet:
 def floquet(
     model: Model,
     period: float,
-    start: Where = None,
-    inputs: Mapping[str, Any] | None = None,
-    params: Mapping[str, float] | None = None,
-    t: float = 0.0,
     integrator: Integrator | None = None,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
+    t: float = 0.0,
     accuracy: float = 1e-6,
 ) -> Floquet:
     """Multipliers of the periodic motion near a start.
 
     Arguments:
         period: s.
-        start: near which the motion passes, as for `linearize`; Newton's method finds the point
-            from which it comes back. Turns by 2 pi count as coming back.
-        inputs, params: as for `simulate`.
-        t: time of the start, s.
         integrator: of the motion, `Idas(rtol=1e-10, atol=1e-12)` by default.
+        inputs, params: as for `simulate`.
+        start: states near which the motion passes; Newton's method finds the point from which it
+            comes back. Turns by 2 pi count as coming back.
+        t: time of the start, s.
         accuracy: of the monodromy matrix; the intervals are halved until two orders of Magnus'
             series differ by less, relative to its norm.
 
@@ -118,7 +120,7 @@ def floquet(
         raise ValueError(f"{where}: period {period} s; it is positive and finite")
     if model.events or model.dae.updates:
         raise ValueError(f"{where}: the model has events; give its effects smoothing")
-    point = locate(model, start, None, None, params, t)
+    point = locate(model, params=params, start=start, t=t)
     method = integrator or Idas(rtol=1e-10, atol=1e-12)
     return _Orbit(model, period, inputs or {}, params or {}, method, accuracy).find(point)
 
@@ -130,8 +132,8 @@ class _Orbit:
         self,
         model: Model,
         period: float,
-        inputs: Mapping[str, Any],
-        params: Mapping[str, float],
+        inputs: Inputs,
+        params: Params,
         integrator: Integrator,
         accuracy: float,
     ) -> None:
@@ -179,7 +181,7 @@ class _Orbit:
         """What drives the motion must have the period: the rates of one state tell."""
         ends, point = [], self.point
         for t in (point.t, point.t + self.period):
-            u = locate(self.model, point, None, self.inputs, None, t).u
+            u = locate(self.model, point, inputs=self.inputs, t=t).u
             ends.append(np.array(self.model.function("ode")(t, point.x, point.z, u, point.p)))
         change = float(np.abs(ends[1] - ends[0]).max(initial=0.0))
         if change > _DRIVEN * (1 + float(np.abs(ends[0]).max(initial=0.0))):
@@ -193,7 +195,7 @@ class _Orbit:
         model, point, h = self.model, self.point, self.period / self.intervals
         nodes = (np.arange(self.intervals)[:, None] + NODES).reshape(-1) * h
         times = point.t + np.concatenate([[0.0], nodes, [self.period]])
-        experiment = make_experiment(model, times, self.inputs, self.params, {})
+        experiment = make_experiment(model, times, self.inputs, self.params)
         experiment = replace(experiment, x=point.x, z=point.z)
         motion = self.integrator.solve(model, experiment)
         if not motion.outcome.ok:

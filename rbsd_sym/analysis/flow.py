@@ -11,7 +11,8 @@ import numpy as np
 from ..integrators.driver import casadi_dae, input_values
 from ..model.model import Model
 from ..model.signals import is_constant
-from ..model.trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment
 from ..pipeline import IntegrationError
 from .flow_options import PLUGINS
 from .wrt import Measure, Way

@@ -9,7 +9,7 @@ import numpy as np
 from ..integrators import RK4, Collocation, ExplicitRK, Idas, Rosenbrock
 from ..integrators.options import elements_of
 from ..model.model import Model
-from ..model.trajectory import Experiment
+from ..model.values import Experiment
 
 
 def _of_idas(method: Any, model: Model, e: Experiment) -> tuple[str, dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -13,7 +13,8 @@ import numpy as np
 from ..base.spectra import finite_spectrum
 from ..dae.members import Label
 from ..model.model import Model
-from ..model.values import Point, Where, locate
+from ..model.signals import Inputs
+from ..model.values import Params, Point, Start, Where, locate
 from .tangent import chart_of, left_inverse, left_out_basis
 
 _SWEEPS = 40  # of balancing, which settles in a few
@@ -166,28 +167,28 @@ def _listed(title: str, spectrum: Spectrum, leaders: Sequence[str] | None) -> li
 
 def linearize(
     model: Model,
-    x: Where = None,
-    z: Mapping[str, float] | Sequence[float] | np.ndarray | None = None,
-    inputs: Mapping[str, Any] | None = None,
-    params: Mapping[str, float] | None = None,
+    at: Where = None,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
     t: float | None = None,
 ) -> Linear:
     """A model linearised about a state, with exact derivatives.
 
     Arguments:
-        x: a state vector, values by name (the others keep their start), the point of an
-            `Equilibrium`, or a `Trajectory`, whose saved point at t is taken (the last one by
-            default); by default the start.
-        z: algebraic unknowns to start from; they are solved for.
-        inputs: by name; the others keep their default.
-        params: by name; the others keep their default.
+        at: an `Equilibrium` or a `Point`; a `Trajectory`, whose saved point at t is taken (the last
+            one by default); a vector of states; by default the model's start.
+        inputs, params: by name; the others keep their default, or what they are in `at`.
+        start: values of states by name that differ from those of `at`. Algebraic unknowns are
+            solved for, from these values.
         t: s, 0 by default.
 
     Raises:
         ValueError: unknown names, algebraic equations without a solution near z, or that do not
             determine the unknowns.
     """
-    point = _consistent(model, locate(model, x, z, inputs, params, t))
+    point = _consistent(model, locate(model, at, inputs=inputs, params=params, start=start, t=t))
     A, B, C, D = _matrices(model, point)
     chart, rates = chart_of(model), _column(model, "ode", point)
     T = _dense(chart.basis(point.x, point.z, point.p))

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from ..dae.members import Label
-from ..integrators import Idas
 from ..model.model import Model
-from ..model.signals import symbolic
-from ..model.trajectory import Experiment, Trajectory
-from ..pipeline import Integrator, make_experiment, simulate
+from ..model.signals import Inputs, symbolic
+from ..model.trajectory import Trajectory
+from ..model.values import Experiment, Params, Start, Times, make_experiment
+from ..pipeline import Integrator, as_integrator, simulate
 from .flow import Flow
 from .flow_options import PLUGINS
 from .wrt import Measure, Way
@@ -74,14 +74,15 @@ class Sensitivity:
 
 def sensitivity(
     model: Model,
-    times: float | Sequence[float] | np.ndarray,
+    times: Times,
     wrt: Sequence[str],
     outputs: Sequence[str],
     mode: str = "forward",
     integrator: Integrator | None = None,
-    inputs: Mapping[str, Any] | None = None,
-    params: Mapping[str, float] | None = None,
-    start: Mapping[str, float] | None = None,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
 ) -> Sensitivity:
     """Derivatives of outputs along a simulation.
 
@@ -105,13 +106,13 @@ def sensitivity(
     """
     if mode not in ("forward", "adjoint"):
         raise ValueError(f"sensitivity: mode {mode!r}; it is 'forward' or 'adjoint'")
-    method = integrator or Idas()
-    experiment = make_experiment(model, times, inputs or {}, params or {}, start or {})
+    method = as_integrator(integrator, "sensitivity")
+    experiment = make_experiment(model, times, inputs, params, start)
     _check(model, experiment, method)
     names = _names("wrt", wrt), _names("outputs", outputs)
-    way = Way(model, experiment, names[0], start or {})
+    way = Way(model, experiment, names[0], start)
     measures = [Measure.of(model, name) for name in names[1]]
-    trajectory = simulate(model, times, method, inputs, params, start)
+    trajectory = simulate(model, times, method, inputs=inputs, params=params, start=start)
     # Compiled functions have no derivatives of their own.
     run = Flow(model.plain, experiment, method, way, trajectory)
     found = run.forward(measures) if mode == "forward" else run.adjoint(measures)

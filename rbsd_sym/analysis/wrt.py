@@ -12,7 +12,7 @@ import numpy as np
 from ..dae.members import Label
 from ..model.model import Model
 from ..model.signals import is_constant
-from ..model.trajectory import Experiment
+from ..model.values import Experiment, Start
 
 _LISTED = 30  # names in an error message
 
@@ -25,9 +25,7 @@ class Way:
         x, p, u, idle: columns of derivatives, one for each name.
     """
 
-    def __init__(
-        self, model: Model, e: Experiment, names: list[str], start: Mapping[str, float]
-    ) -> None:
+    def __init__(self, model: Model, e: Experiment, names: list[str], start: Start | None) -> None:
         dae, n = model.dae, len(names)
         groups = (dae.x_labels, dae.p_labels, dae.u_labels, dae.idle_p_labels)
         self.x, self.p, self.u, self.idle = (np.zeros((len(g), n)) for g in groups)
@@ -44,8 +42,10 @@ class Way:
             labels.append(replace(groups[group][row], start=float(values[group][row])))
         self.labels = tuple(labels)
         moved = np.array(ca.DM(_start_slope(model)(e.p))) @ self.p
-        fixed = {*start, *names}
-        kept = [i for i, label in enumerate(dae.x_labels) if label.name not in fixed]
+        every = [label.name for label in dae.x_labels]
+        given = () if start is None else start if isinstance(start, Mapping) else every
+        fixed = {*given, *names}
+        kept = [i for i, name in enumerate(every) if name not in fixed]
         self.x[kept] += moved[kept]
 
     @property
@@ -107,7 +107,7 @@ class Measure(NamedTuple):
         else:
             expr = dae.output(name)
             unit, shape = dae.outputs[name].unit, dae.outputs[name].shape
-        p = ca.vertcat(dae.p, dae.idle_p)
+        p = dae.parameters.symbols
         ways = [ca.densify(ca.jacobian(expr, v)) for v in (dae.x, dae.z, dae.u, p)]
         slopes = ca.Function("slopes", [dae.t, dae.x, dae.z, dae.u, p], ways, {"cse": True})
         return Measure(name, unit, shape, slopes)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -229,8 +230,7 @@ class Balance:
         return c, start, self.basis(c).T @ (c - start)
 
 
-@dataclass(frozen=True)
-class Parameters:
+class Parameters(NamedTuple):
     """The parameters of a scene: those in use, then those without effect on x, z and y.
 
     Fields:

@@ -20,10 +20,14 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Replaced:
-    """A state of the full scene that follows from states of the model, and how."""
+    """A state of the full scene that follows from states of the model, and how.
+
+    `is_rate` marks the velocity of a motion without inertia: the rate of its coordinates.
+    """
 
     name: str
     how: str
+    is_rate: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,9 @@ import numpy as np
 
 from ..base.symbols import is_number
 from ..model.model import Model
+from ..model.signals import Inputs
 from ..model.trajectory import Column, Outcome, Trajectory
+from ..model.values import Params
 from .folder import Artefact
 from .load import OPTIMISED, build_folder, labels_of
 from .simulator import SIMULATOR
@@ -96,9 +98,10 @@ class Simulator:
     def __call__(
         self,
         t_end: float,
+        *,
+        inputs: Inputs | None = None,
+        params: Params | None = None,
         start: Mapping[str, float] | None = None,
-        params: Mapping[str, float] | None = None,
-        inputs: Mapping[str, Any] | None = None,
         points: int = 200,
         t_start: float = 0.0,
         rtol: float | None = None,

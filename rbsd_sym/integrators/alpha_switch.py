@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..model.model import Model
-from ..model.trajectory import Experiment, Outcome
+from ..model.trajectory import Outcome
+from ..model.values import Experiment
 from .events import Instant, Watch
 from .post_newton import PostNewton, advice
 

@@ -25,7 +25,8 @@ from ..model.casadi_events import (
 )
 from ..model.model import Model
 from ..model.signals import is_constant, raise_of_user
-from ..model.trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment
 from .driver import (
     Run,
     Verdict,

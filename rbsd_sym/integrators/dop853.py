@@ -12,7 +12,8 @@ import numpy as np
 from ..base.tableau import E3, E5, A, C, D
 from ..model.model import Model
 from ..model.signals import is_constant
-from ..model.trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment
 from .driver import assemble, failure_report, input_values
 from .events import Instant, SegmentEnd, Watch, guarded
 from .options import check_options, refuse_unknowns, refuse_updates

@@ -15,8 +15,9 @@ import numpy as np
 
 from ..model.casadi_events import tidy
 from ..model.model import Model
-from ..model.signals import evaluate, is_constant, raise_of_user, symbolic
-from ..model.trajectory import Column, Experiment, Outcome, Samples, Signal, Trajectory
+from ..model.signals import Samples, Signal, evaluate, is_constant, raise_of_user, symbolic
+from ..model.trajectory import Column, Outcome, Trajectory
+from ..model.values import Experiment
 
 _OUTPUT = threading.Lock()  # redirection is for the whole process
 _ROUNDS = 3  # of Newton's method at saved points, from values good to the tolerance

@@ -29,7 +29,8 @@ import numpy as np
 from ..model.casadi_events import BAND, CLOSE, CROWD, INSTANT, Happened
 from ..model.model import Model
 from ..model.signals import is_constant
-from ..model.trajectory import Experiment, Outcome
+from ..model.trajectory import Outcome
+from ..model.values import Experiment
 from .driver import input_values
 
 _CROWDS = ((CROWD, CLOSE), (30, 1e-6), (1000, 1e-4))  # instants, and their share of a run

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from ..model.model import Model
-from ..model.trajectory import Experiment, Trajectory
+from ..model.trajectory import Trajectory
+from ..model.values import Experiment
 from .casadi_run import run_with_events
 from .driver import run
 from .options import (

@@ -13,7 +13,8 @@ import numpy as np
 
 from ..model.model import Model
 from ..model.signals import is_constant
-from ..model.trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment
 from .alpha_step import Groups, first_order, rates_function, second_order, step_function
 from .alpha_switch import Switch
 from .driver import assemble, failure_report, input_values, not_consistent

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..model.model import Model
-from ..model.trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment
 from .driver import Run, Verdict, consistent, input_values, run
 from .events import Instant
 from .options import check_options

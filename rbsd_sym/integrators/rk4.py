@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..model.model import Model
-from ..model.trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment
 from .driver import Run, Verdict, run
 from .options import check_fixed_step, elements_of, refuse_events, refuse_unknowns
 

@@ -20,7 +20,8 @@ import numpy as np
 from ..model.casadi_events import LEAST
 from ..model.model import Model
 from ..model.signals import is_constant, raise_of_user
-from ..model.trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment
 from .driver import Run, Verdict, assemble, call_integrator, casadi_dae, failure_report, settle
 from .events import SEARCHED, Instant, SegmentEnd, Watch, guarded
 from .post_newton import Advice, PostNewton, advice

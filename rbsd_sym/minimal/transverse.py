@@ -41,7 +41,12 @@ def replaced(left: tuple[Dropped, ...], reduced: Dae) -> tuple[Replaced, ...]:
     }
     states = ca.vertsplit(way.states) if way.rows else []
     pairs = [(i, label) for i, label in enumerate(way.labels) if label.name not in here]
-    return tuple(Replaced(label.name, hows.get(i, _formula(states[i]))) for i, label in pairs)
+    return tuple(
+        Replaced(label.name, hows[i], True)
+        if i in hows
+        else Replaced(label.name, _formula(states[i]))
+        for i, label in pairs
+    )
 
 
 def _formula(expr: ca.SX) -> str:

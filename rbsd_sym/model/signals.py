@@ -1,14 +1,82 @@
-"""Inputs as functions of time inside an integrator: traced with a symbol, sampled, or called."""
+"""Values of Inputs over time: numbers, samples and functions, checked once, then evaluated.
+
+Inside an integrator a function is traced with a symbol where that is possible, or called.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias, Union
 
 import casadi as ca
+import numpy as np
 
 from ..base.symbols import Scalar, is_number, leaves_of, to_expr
-from .trajectory import Samples, Signal
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """An input given by samples: linear between them, constant before the first and after the last.
+
+    Arguments:
+        t: increasing times (n,), s.
+        values: (n,).
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+
+
+Signal: TypeAlias = Union[float, Samples, Callable[[Any], Any]]
+"""The checked value of an Input."""
+
+InputValue: TypeAlias = Union[
+    float, Samples, Callable[[Any], Any], tuple[Sequence[float] | np.ndarray, ...]
+]
+"""What a user may give for an Input: a number, a function of t (s), samples (times, values)."""
+
+Inputs: TypeAlias = Mapping[str, InputValue]
+"""Values of Inputs by name."""
+
+
+def signal_of(value: Any, where: str, unit: str) -> Signal:
+    """Check the value of an Input.
+
+    Arguments:
+        value: a number, a function of t (s), `Samples` or a pair (times, values) of samples.
+        where, unit: of the Input, for messages.
+
+    Raises:
+        ValueError: it is none of them, or not finite.
+    """
+    if callable(value):
+        return value
+    if is_number(value):
+        if not np.isfinite(float(value)):
+            raise ValueError(f"{where}: {value} {unit}; give a finite number")
+        return float(value)
+    try:
+        pair = (value.t, value.values) if isinstance(value, Samples) else value
+        t, samples = (np.array(part, float) for part in pair)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{where}: {value!r}; give a number, a function of t, or samples (times, values)"
+        ) from error
+    good = t.ndim == 1 and t.shape == samples.shape and len(t) > 1 and bool((np.diff(t) > 0).all())
+    if not good or not (np.isfinite(t).all() and np.isfinite(samples).all()):
+        raise ValueError(
+            f"{where}: samples of shape {t.shape} and {samples.shape}; times increase, values are "
+            "finite, both have one length of at least 2"
+        )
+    return Samples(t, samples)
+
+
+def value_at(signal: Any, t: float) -> Any:
+    """Value at time t (s) of a signal."""
+    if isinstance(signal, Samples):
+        return float(np.interp(t, signal.t, signal.values))
+    return signal(t) if callable(signal) else signal
 
 
 def is_constant(signal: Signal) -> bool:

@@ -1,4 +1,4 @@
-"""What goes into an integrator and what comes out: plain numpy, named columns, save and load."""
+"""What comes out of an integrator: named columns over time in plain numpy, saved and loaded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Any, Union
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -17,37 +17,6 @@ import numpy as np
 from ..base.files import write_whole
 
 _FORMAT = 1
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """An input given by samples: linear between them, constant before the first and after the last.
-
-    Arguments:
-        t: increasing times (n,), s.
-        values: (n,).
-    """
-
-    t: np.ndarray
-    values: np.ndarray
-
-
-Signal = Union[float, Samples, Callable[[Any], Any]]
-
-
-@dataclass(frozen=True, eq=False)
-class Experiment:
-    """What to integrate: output times (n,), start x, z, values p, and one signal for each input.
-
-    `idle` are values of parameters that only outputs outside y feel.
-    """
-
-    t: np.ndarray
-    x: np.ndarray
-    z: np.ndarray
-    p: np.ndarray
-    inputs: tuple[Signal, ...]
-    idle: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 class Outcome(Enum):

@@ -1,30 +1,27 @@
-"""A point of a model: time, states, unknowns, inputs, parameters, given by name or as vectors."""
+"""From names and vectors to the values a model is called with: points, starts, experiments."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, Union
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, TypeAlias, TypedDict, Union
 
 import numpy as np
 
 from ..base.symbols import is_number
 from ..dae.members import Label
 from .model import Model
-from .trajectory import Samples, Trajectory
-
-Where: TypeAlias = Union[
-    "Point", Trajectory, Mapping[str, float], Sequence[float], np.ndarray, None
-]
-"""Where in the state space: nothing for the start, a state vector, values by name, a trajectory."""
+from .signals import Inputs, Signal, signal_of, value_at
+from .trajectory import Trajectory
 
 _LISTED = 30  # names in an error message
 _SAME = 1e-9  # of a run: two times that close are one
+_DEFAULT_INTERVALS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Values of t (s), x, z, u and p of a model; `idle` are parameters that only outputs feel."""
+    """Values of t (s), x, z, u and p of a model; `idle` are parameters that affect outputs only."""
 
     t: float
     x: np.ndarray
@@ -39,75 +36,194 @@ class Point:
         return self.t, self.x, self.z, self.u, self.p
 
 
-def locate(
+class HasPoint(Protocol):
+    """What holds a point of a model, such as an `Equilibrium`."""
+
+    @property
+    def point(self) -> Point:
+        """The point."""
+        ...
+
+
+Params: TypeAlias = Mapping[str, float]
+"""Values of parameters by name."""
+
+Start: TypeAlias = Union[Mapping[str, float], Point, HasPoint]
+"""States to start from: values by name, or the states of a `Point` or an `Equilibrium`."""
+
+Where: TypeAlias = Union[Start, Trajectory, Sequence[float], np.ndarray, None]
+"""A place in the state space: a `Start`, a vector of states, a `Trajectory`; None is the start."""
+
+Times: TypeAlias = Union[float, Sequence[float], np.ndarray]
+"""The end of a run in s, or its increasing output times, of which the first is the start."""
+
+
+class Given(TypedDict):
+    """What a run is given by name, to be handed on as keyword arguments."""
+
+    inputs: Inputs | None
+    params: Params | None
+    start: Start | None
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """What to integrate: output times (n,), start x, z, values p, and one signal for each input.
+
+    `idle` are values of parameters that affect outputs only.
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    z: np.ndarray
+    p: np.ndarray
+    inputs: tuple[Signal, ...]
+    idle: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+def as_model(value: Any, where: str) -> Model:
+    """Return the value if it is a model.
+
+    Raises:
+        TypeError: it is something else; the message says how to get a model.
+    """
+    if isinstance(value, Model):
+        return value
+    kind = type(value).__name__
+    raise TypeError(f"{where}: model is a {kind}; give a model, such as compile_scene(scene)")
+
+
+def make_experiment(
     model: Model,
-    x: Where = None,
-    z: Mapping[str, float] | Sequence[float] | np.ndarray | None = None,
-    inputs: Mapping[str, Any] | None = None,
-    params: Mapping[str, float] | None = None,
-    t: float | None = None,
-) -> Point:
-    """The point that vectors, names and values tell of.
+    times: Times,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
+) -> Experiment:
+    """Turn times, and values by name, into the checked vectors of an `Experiment`.
 
     Arguments:
-        x: a state vector, values by name (of unknowns, too; the others keep their start), or a
-            `Trajectory`, of which the saved point at t is taken, the last one by default, with its
-            inputs and parameters.
-        z: algebraic unknowns, likewise; as they are, not solved for.
-        inputs: by name, a number or a function of t each.
+        times: the end in s (from 0, in 200 intervals), or increasing output times.
+        inputs, params, start: as in `simulate`.
+
+    Raises:
+        TypeError: no model, or a start of another kind.
+        ValueError: unknown names, numbers that are not finite, times that do not increase.
+    """
+    dae = as_model(model, "simulate").dae
+    parameters = dae.parameters.labels
+    values = filled(model, "parameter", parameters, [v.start for v in parameters], params)
+    p, idle = values[: model.n_p], values[model.n_p :]
+    xz = np.concatenate(_started(model, *dae.start_values(p), start, "start"))
+    given = inputs or {}
+    check_known(model, "input", dae.u_labels, given)
+    where = f"model '{model.name}', input"
+    signals = tuple(
+        signal_of(given.get(v.name, v.start), f"{where} '{v.name}'", v.unit) for v in dae.u_labels
+    )
+    return Experiment(_grid(times), xz[: model.n_x], xz[model.n_x :], p, signals, idle)
+
+
+def _grid(times: Times) -> np.ndarray:
+    if is_number(times):
+        if not (np.isfinite(float(times)) and float(times) > 0):  # type: ignore[arg-type]
+            raise ValueError(f"simulate: t_end {times} s; the end is positive and finite")
+        return np.linspace(0.0, float(times), _DEFAULT_INTERVALS + 1)  # type: ignore[arg-type]
+    grid = np.array(times, float)
+    if grid.ndim != 1 or len(grid) < 2 or not np.isfinite(grid).all() or (np.diff(grid) <= 0).any():
+        raise ValueError(
+            f"simulate: output times of shape {grid.shape}; they are at least two finite numbers "
+            "that increase, the first is the start"
+        )
+    return grid
+
+
+def locate(
+    model: Model,
+    at: Where = None,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
+    t: float | None = None,
+) -> Point:
+    """Build a `Point` from vectors, or from names and values.
+
+    Arguments:
+        at: a `Point` or what holds one, with its time, inputs and parameters; a `Trajectory`, of
+            which the saved point at t is taken, the last one by default, likewise; a vector of
+            states; or a start. By default the model's start.
+        inputs: by name, a value at t each.
         params: by name.
+        start: states and algebraic unknowns that differ from those of `at`; unknowns are not
+            solved for.
         t: s, 0 by default.
 
     Raises:
-        ValueError: unknown names, values that are no finite numbers, a trajectory of another model.
+        TypeError: no model, or a start of another kind.
+        ValueError: unknown names, values that are not finite numbers, a trajectory of another
+            model.
     """
-    where = f"model '{model.name}'"
-    if isinstance(x, Point):
-        return _changed(model, x, z, inputs, params, t)
-    if isinstance(x, Trajectory):
-        return _changed(model, _saved(model, x, t), z, inputs, params, None)
-    time = _number(0.0 if t is None else t, f"{where}, time", "s")
-    every = model.dae.parameters.labels
-    values = filled(model, "parameter", every, [v.start for v in every], params)
-    p, idle = values[: model.n_p], values[model.n_p :]
-    x0, z0 = model.dae.start_values(p)
-    point = Point(time, x0, z0, _inputs(model, inputs, time), p, idle)
-    return _moved(model, point, x, z)
+    where = f"model '{as_model(model, 'linearize').name}'"
+    held = at if isinstance(at, Point) else getattr(at, "point", None)
+    dae, every = model.dae, model.dae.parameters.labels
+    if isinstance(at, Trajectory):
+        base = _saved(model, at, t)
+    elif isinstance(held, Point):
+        base = _of_this_model(model, held)
+        base = base if t is None else replace(base, t=_number(t, f"{where}, time", "s"))
+    else:
+        time = _number(0.0 if t is None else t, f"{where}, time", "s")
+        usual = [label.start for label in every]
+        values = filled(model, "parameter", every, usual, params)
+        p, idle = values[: model.n_p], values[model.n_p :]
+        u = np.array([label.start for label in dae.u_labels])
+        base = Point(time, *dae.start_values(p), u, p, idle)
+        if isinstance(at, Mapping):
+            x, z = _started(model, base.x, base.z, at, "point")
+            base = replace(base, x=x, z=z)
+        elif at is not None:
+            base = replace(base, x=_vector(model, at))
+    values = filled(model, "parameter", every, [*base.p, *base.idle], params)
+    now = {name: value_at(value, base.t) for name, value in (inputs or {}).items()}
+    u = filled(model, "input", dae.u_labels, base.u, now)
+    x, z = _started(model, base.x, base.z, start, "point")
+    return Point(base.t, x, z, u, values[: model.n_p], values[model.n_p :])
 
 
-def _changed(
-    model: Model, point: Point, z: Any, inputs: Any, params: Any, t: float | None
-) -> Point:
+def _of_this_model(model: Model, point: Point) -> Point:
     if len(point.x) != model.n_x or len(point.z) != model.n_z or len(point.p) != model.n_p:
         raise ValueError(
             f"model '{model.name}': a point with {len(point.x)} states, {len(point.z)} unknowns "
             f"and {len(point.p)} parameters is of another model; this one has {model.n_x}, "
             f"{model.n_z} and {model.n_p}"
         )
-    if t is not None:
-        point = replace(point, t=_number(t, f"model '{model.name}', time", "s"))
-    every = model.dae.parameters.labels
-    values = filled(model, "parameter", every, [*point.p, *point.idle], params)
-    point = replace(point, p=values[: model.n_p], idle=values[model.n_p :])
-    if inputs:
-        point = replace(point, u=_inputs(model, inputs, point.t, point.u))
-    return _moved(model, point, None, z)
-
-
-def _moved(model: Model, point: Point, x: Any, z: Any) -> Point:
-    """The point with other states and unknowns."""
-    labels = (*model.x_labels, *model.dae.z_labels)
-    if isinstance(x, Mapping):
-        check_kept(model, x, "point")
-        both = filled(model, "state", labels, [*point.x, *point.z], x)
-        point = replace(point, x=both[: model.n_x], z=both[model.n_x :])
-    elif x is not None:
-        point = replace(point, x=_vector(model, "states", model.x_labels, x))
-    if isinstance(z, Mapping):
-        point = replace(point, z=filled(model, "unknown", model.dae.z_labels, point.z, z))
-    elif z is not None:
-        point = replace(point, z=_vector(model, "unknowns", model.dae.z_labels, z))
     return point
+
+
+def _started(
+    model: Model, x: np.ndarray, z: np.ndarray, start: Start | None, what: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """States and unknowns, those of `start` in their places.
+
+    Arguments:
+        what: "point" or "start", for the message.
+    """
+    if start is None:
+        return x, z
+    held = start if isinstance(start, Point) else getattr(start, "point", None)
+    if isinstance(held, Point):
+        held = _of_this_model(model, held)
+        return held.x, held.z
+    if not isinstance(start, Mapping):
+        raise TypeError(
+            f"model '{model.name}', start: {type(start).__name__}; give values of states by name, "
+            "such as {'arm.p_x': 0.1}, or an Equilibrium"
+        )
+    check_kept(model, start, what)
+    labels = (*model.x_labels, *model.dae.z_labels)
+    both = filled(model, "state", labels, [*x, *z], start)
+    return both[: model.n_x], both[model.n_x :]
 
 
 def _saved(model: Model, trajectory: Trajectory, t: float | None) -> Point:
@@ -120,42 +236,23 @@ def _saved(model: Model, trajectory: Trajectory, t: float | None) -> Point:
         )
     k = len(trajectory.t) - 1
     if t is not None:
+        t = _number(t, f"model '{model.name}', time", "s")
         k = int(np.abs(trajectory.t - t).argmin())
         if abs(trajectory.t[k] - t) > _SAME * (1 + abs(t)):
             raise ValueError(
-                f"model '{model.name}': t = {t} s is no saved time of trajectory "
+                f"model '{model.name}': t = {t} s is not a saved time of trajectory "
                 f"'{trajectory.name}', the nearest is {trajectory.t[k]:.9g} s; save it, or take it"
             )
-
-    def values(labels: Sequence[Label]) -> np.ndarray:
-        return np.array([float(trajectory[label.name][k]) for label in labels])
-
     dae = model.dae
-    return Point(
-        float(trajectory.t[k]),
-        values(dae.x_labels),
-        values(dae.z_labels),
-        values(dae.u_labels),
-        values(dae.p_labels),
-        values(dae.idle_p_labels),
-    )
-
-
-def _inputs(model: Model, given: Mapping[str, Any] | None, t: float, old: Any = None) -> np.ndarray:
-    """Values of the inputs at time t."""
-    labels = model.dae.u_labels
-    before = [label.start for label in labels] if old is None else old
-    return filled(model, "input", labels, before, {k: _at(v, t) for k, v in (given or {}).items()})
-
-
-def _at(signal: Any, t: float) -> Any:
-    if isinstance(signal, Samples):
-        return float(np.interp(t, signal.t, signal.values))
-    return signal(t) if isinstance(signal, Callable) else signal  # type: ignore[arg-type]
+    groups = (dae.x_labels, dae.z_labels, dae.u_labels, *dae.parameters[:2])
+    columns = [
+        np.array([float(trajectory[label.name][k]) for label in labels]) for labels in groups
+    ]
+    return Point(float(trajectory.t[k]), *columns)
 
 
 def check_kept(model: Model, given: Mapping[str, float], what: str) -> None:
-    """No name is that of a state that the minimal model left out or replaced.
+    """Check that no name is that of a state that the minimal model left out or replaced.
 
     Arguments:
         what: "point" or "start", for the message.
@@ -165,20 +262,27 @@ def check_kept(model: Model, given: Mapping[str, float], what: str) -> None:
     """
     still = {d.name: f"left out at {d.value:.6g}: {d.reason}" for d in model.dropped}
     how = still | {r.name: f"replaced: it is {r.how}" for r in model.replaced}
+    rates = {r.name for r in model.replaced if r.is_rate}
     for name in given:
         if name in how:
             remedy = f"a {what} elsewhere needs compile_scene(minimal=False)"
-            if "rate of" in how[name]:
+            if name in rates:
                 remedy = f"without inertia it has no {what} of its own"
             raise ValueError(f"model '{model.name}': state '{name}' was {how[name]}; {remedy}")
 
 
 def check_known(model: Model, kind: str, labels: Sequence[Label], given: Mapping[str, Any]) -> None:
-    """All names are those of labels.
+    """Check that all names are those of labels.
 
     Raises:
-        ValueError: one is not.
+        TypeError: `given` does not hold values by name.
+        ValueError: a name is not among the labels.
     """
+    if not isinstance(given, Mapping):
+        raise TypeError(
+            f"model '{model.name}', {kind}s: {type(given).__name__}; give values by name, such as "
+            "{'name': 1.0}"
+        )
     names = [label.name for label in labels]
     for name in given:
         if name not in names:
@@ -189,7 +293,7 @@ def check_known(model: Model, kind: str, labels: Sequence[Label], given: Mapping
 def filled(
     model: Model, kind: str, labels: Sequence[Label], values: Any, given: Mapping[str, Any] | None
 ) -> np.ndarray:
-    """Values with those given by name in their places.
+    """Return values, with those given by name in their places.
 
     Raises:
         ValueError: unknown names, values that are no finite numbers.
@@ -204,17 +308,19 @@ def filled(
     return out
 
 
-def _vector(model: Model, kind: str, labels: Sequence[Label], given: Any) -> np.ndarray:
+def _vector(model: Model, given: Any) -> np.ndarray:
+    """A vector of states, checked."""
+    labels = model.x_labels
     try:
         vector = np.array(given, float).reshape(-1)
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"model '{model.name}': {kind} {given!r}; give a vector of {len(labels)} numbers, or "
-            "names and values"
+            f"model '{model.name}': states {given!r}; give a vector of {len(labels)} numbers, "
+            "names and values, an Equilibrium or a Trajectory"
         ) from error
     if len(vector) != len(labels) or not np.isfinite(vector).all():
         raise ValueError(
-            f"model '{model.name}': a vector of {len(vector)} {kind}; it has {len(labels)} finite "
+            f"model '{model.name}': a vector of {len(vector)} states; it has {len(labels)} finite "
             f"ones: {', '.join(label.name for label in labels[:_LISTED])}"
         )
     return vector

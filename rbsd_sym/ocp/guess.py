@@ -11,8 +11,8 @@ import numpy as np
 
 from ..base.rotation import matrix_xyz, quat_matrix
 from ..integrators.driver import input_values
+from ..model.signals import signal_of
 from ..model.trajectory import Trajectory
-from ..pipeline import signal_of
 from .ends import at_start, start_values
 from .problem import Free
 from .stage import Frame, quaternions

@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 
 from ..integrators.driver import Run, assemble, settle
-from ..model.trajectory import Experiment, Outcome, Trajectory
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment
 from .chain import Chain
 from .flight import Flight, Pilot, sizes
 from .solution import Pieces

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -12,8 +11,9 @@ import casadi as ca
 import numpy as np
 
 from ..model.model import Model
-from ..model.trajectory import Experiment, Outcome, Trajectory
-from ..pipeline import make_experiment, simulate
+from ..model.trajectory import Outcome, Trajectory
+from ..model.values import Experiment, Given
+from ..pipeline import simulate
 from .work_precision import ErrorOf
 
 _MOST = 300  # states up to which all eigenvalues are computed
@@ -65,7 +65,7 @@ class Pilot:
         most: steps a run may take.
     """
 
-    def __init__(self, model: Model, grid: np.ndarray, given: Mapping[str, Any], most: int) -> None:
+    def __init__(self, model: Model, grid: np.ndarray, given: Given, most: int) -> None:
         self.model, self.grid, self.given, self.most = model, grid, given, most
         self._judge: ErrorOf | None = None
         self.path: Trajectory | None = None
@@ -206,10 +206,3 @@ def _power(A: ca.DM) -> float:
         v /= size
         growth += math.log(size) if k >= _TURNS // 2 else 0.0
     return math.exp(growth / (_TURNS - _TURNS // 2))
-
-
-def start_of(model: Model, t_end: float, given: Mapping[str, Any]) -> Experiment:
-    """The experiment of a run to t_end."""
-    return make_experiment(
-        model, t_end, given.get("inputs") or {}, given.get("params") or {}, given.get("start") or {}
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -12,11 +12,12 @@ import numpy as np
 from ..base.symbols import is_number
 from ..integrators import Idas, Rosenbrock
 from ..model.model import Model
-from ..model.trajectory import Experiment
+from ..model.signals import Inputs
+from ..model.values import Experiment, Given, Params, Start, as_model, make_experiment
 from .contenders import contenders
-from .pilot import Costs, Modes, Pilot, Trial, costs, modes, start_of
+from .pilot import Costs, Modes, Pilot, Trial, costs, modes
 from .table import ResultTable
-from .work_precision import _setting
+from .work_precision import setting_text
 
 _INTERVALS = 8  # output intervals of a pilot
 _TRIES = 4  # settings of one method
@@ -68,9 +69,12 @@ def recommend(
     model: Model,
     rtol: float = 1e-6,
     t_end: float = 1.0,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
     exported: bool = False,
     seconds: float = 10.0,
-    **given: Any,
 ) -> Recommendation:
     """The integrator that takes the least CPU time to an error, and why.
 
@@ -86,15 +90,16 @@ def recommend(
         exported: choose for `export_simulator`: among what it takes, by measured calls of rates,
             Jacobians and linear solves instead of by times in Python.
         seconds: CPU time the pilots may take, about; what they build comes on top.
-        given: inputs, params, start, as in `simulate`.
+        inputs, params, start: as in `simulate`.
 
     Raises:
-        TypeError: the model is none.
+        TypeError: not a model.
         ValueError: an error, end or time that makes no sense; no states; no method that gets
             through even a short beginning, or none that can be exported.
     """
     _check(model, rtol, t_end, seconds, exported)
-    whole = start_of(model, t_end, given)
+    given: Given = {"inputs": inputs, "params": params, "start": start}
+    whole = make_experiment(model, t_end, inputs, params, start)
     price = costs(model, whole)
     model = model.plain if exported else model  # as it is exported
     pilot, share = _pilot(model, whole, rtol, seconds, given)
@@ -109,10 +114,7 @@ def recommend(
 
 
 def _check(model: Model, rtol: float, t_end: float, seconds: float, exported: bool) -> None:
-    if not isinstance(model, Model):
-        raise TypeError(
-            f"recommend: model {model!r} is a {type(model).__name__}; give what compile_scene gives"
-        )
+    as_model(model, "recommend")
     for name, value, top, unit in (
         ("rtol", rtol, 0.1, ""),
         ("t_end", t_end, math.inf, " s"),
@@ -136,7 +138,7 @@ def _check(model: Model, rtol: float, t_end: float, seconds: float, exported: bo
 
 
 def _pilot(
-    model: Model, whole: Experiment, rtol: float, seconds: float, given: Mapping[str, Any]
+    model: Model, whole: Experiment, rtol: float, seconds: float, given: Given
 ) -> tuple[Pilot, float]:
     """A pilot with its reference, and the share of the run it takes: all of it, if affordable."""
     t, share, before = (float(whole.t[0]), float(whole.t[-1])), 1.0 / 32, math.inf
@@ -287,7 +289,7 @@ def _best(model: Model, runs: list[_Run], rtol: float) -> _Run:
 def _row(run: _Run) -> tuple[Any, ...]:
     t = run.trial
     counts = (None if math.isnan(v) else v for v in (t.steps, t.evaluations, t.jacobians))
-    return (run.method, _setting(run.integrator), t.error, run.seconds, *counts, t.outcome.name)
+    return (run.method, setting_text(run.integrator), t.error, run.seconds, *counts, t.outcome.name)
 
 
 class _Facts(NamedTuple):
@@ -301,7 +303,7 @@ class _Facts(NamedTuple):
 
 
 def _why(model: Model, best: _Run, runs: list[_Run], rtol: float, facts: _Facts) -> str:
-    name = f"{type(best.integrator).__name__}({_setting(best.integrator)})"
+    name = f"{type(best.integrator).__name__}({setting_text(best.integrator)})"
     reached = best.trial.error is not None and best.trial.error <= rtol
     checked = f"reference good to {facts.floor:.1g}"
     checked = checked if facts.floor >= 0 else "reference of one method alone"

@@ -12,7 +12,8 @@ from ..analysis.equilibrium import static_equilibrium
 from ..analysis.floquet import floquet
 from ..analysis.linearize import linearize
 from ..model.model import Model
-from ..model.values import Where
+from ..model.signals import Inputs
+from ..model.values import Params, Where, locate
 from ..pipeline import Integrator
 from .table import Cell, ResultTable
 from .workers import reason
@@ -28,13 +29,14 @@ def stability_map(
     model: Model | Make,
     x_axis: Mapping[str, Sequence[float]],
     y_axis: Mapping[str, Sequence[float]],
+    integrator: Integrator | None = None,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
     at: At = None,
     period: float | Callable[[Point], float] | None = None,
-    inputs: Mapping[str, Any] | None = None,
-    params: Mapping[str, float] | None = None,
     t: float = 0.0,
     units: Mapping[str, str] | None = None,
-    integrator: Integrator | None = None,
     accuracy: float = 1e-4,
 ) -> ResultTable:
     """Growth rates over two axes, a row for each pair of values.
@@ -72,8 +74,8 @@ class _Asked(NamedTuple):
 
     at: At
     period: float | Callable[[Point], float] | None
-    inputs: Mapping[str, Any]
-    params: Mapping[str, float]
+    inputs: Inputs
+    params: Params
     t: float
     integrator: Integrator | None
     accuracy: float
@@ -165,7 +167,7 @@ class _Models:
 def _knobs(model: Model) -> dict[str, str]:
     """Names of what can be set without another model, and units."""
     dae = model.dae
-    return {v.name: v.unit for v in (*dae.p_labels, *dae.idle_p_labels, *dae.u_labels)}
+    return {v.name: v.unit for v in (*dae.parameters.labels, *dae.u_labels)}
 
 
 def _row(models: _Models, asked: _Asked, point: Point, columns: Sequence[str]) -> tuple[Cell, ...]:
@@ -189,8 +191,8 @@ def _judged(model: Model, asked: _Asked, point: Point) -> dict[str, Cell]:
         period = asked.period(dict(point)) if callable(asked.period) else asked.period
         return _periodic(model, float(period), at, u, p, asked)
     if at is None:
-        at = static_equilibrium(model, None, u, p, asked.t).point
-    linear = linearize(model, at, None, u, p, asked.t)
+        at = static_equilibrium(model, inputs=u, params=p, t=asked.t)
+    linear = linearize(model, at, inputs=u, params=p, t=asked.t)
     spectrum = linear.spectrum
     fastest = int(spectrum.values.real.argmax()) if len(spectrum.values) else 0
     return {
@@ -210,7 +212,17 @@ def _periodic(
     p: Mapping[str, float],
     asked: _Asked,
 ) -> dict[str, Cell]:
-    motion = floquet(model, period, at, u, p, asked.t, asked.integrator, asked.accuracy)
+    start = None if at is None else locate(model, at, params=p, t=asked.t)
+    motion = floquet(
+        model,
+        period,
+        asked.integrator,
+        inputs=u,
+        params=p,
+        start=start,
+        t=asked.t,
+        accuracy=asked.accuracy,
+    )
     every = np.concatenate([motion.kept.values, motion.left_out.values])
     fastest = every[int(np.abs(every).argmax())] if len(every) else 1.0
     return {

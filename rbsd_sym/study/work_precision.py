@@ -5,14 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
-from typing import Any, NamedTuple, Union
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..base.symbols import is_number
 from ..integrators import Dop853, Idas, Rosenbrock
 from ..model.model import Model
+from ..model.signals import Inputs
 from ..model.trajectory import Trajectory
+from ..model.values import Given, Params, Start, Times, as_model
 from ..pipeline import IntegrationError, simulate
 from .table import ResultTable
 
@@ -30,7 +32,6 @@ _UNITS = {
     "outcome": "",
     "floor": "",
 }
-Times = Union[float, Sequence[float], np.ndarray]
 Contender = Any
 """An integrator, or a function without arguments that returns a `Trajectory` at the same times."""
 
@@ -49,7 +50,10 @@ def work_precision(
     times: Times = 1.0,
     reference: Trajectory | Reference | None = None,
     repeats: int = 5,
-    **given: Any,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
 ) -> ResultTable:
     """Error and CPU time of each integrator at each setting.
 
@@ -64,7 +68,7 @@ def work_precision(
         reference: by default two methods at tight tolerances (`converged`).
         repeats: of each run, after one that builds; the median time counts, the shortest and the
             longest are beside it. Times are CPU times of this thread, of the whole call.
-        given: inputs, params, start, as in `simulate`.
+        inputs, params, start: as in `simulate`.
 
     Returns:
         Table: method, setting, error, its four parts, time, time_min, time_max (s), steps,
@@ -73,6 +77,8 @@ def work_precision(
     Raises:
         ValueError: no integrators, no body in the model's outputs, a reference at other times.
     """
+    as_model(model, "work_precision")
+    given: Given = {"inputs": inputs, "params": params, "start": start}
     grid = _grid(times)
     named = _named(integrators)
     if not named:
@@ -83,7 +89,11 @@ def work_precision(
         reference = Reference(reference, 0.0, ("given", ""))
     measure = ErrorOf(model, reference.trajectory)
     rows = [
-        (name, _setting(contender), *_row(_runner(model, contender, grid, given), repeats, measure))
+        (
+            name,
+            setting_text(contender),
+            *_row(_runner(model, contender, grid, given), repeats, measure),
+        )
         for name, contender in named
     ]
     floor = reference.floor
@@ -107,7 +117,14 @@ def _row(run: Callable[[], Trajectory], repeats: int, measure: ErrorOf) -> tuple
     )
 
 
-def converged(model: Model, times: Times = 1.0, **given: Any) -> Reference:
+def converged(
+    model: Model,
+    times: Times = 1.0,
+    *,
+    inputs: Inputs | None = None,
+    params: Params | None = None,
+    start: Start | None = None,
+) -> Reference:
     """A run at the tightest useful tolerances, and its difference from one of another method.
 
     Of `Dop853` (without algebraic unknowns), `Rosenbrock` and `Idas` the two that agree best.
@@ -119,7 +136,10 @@ def converged(model: Model, times: Times = 1.0, **given: Any) -> Reference:
     methods: list[Any] = [] if model.n_z else [Dop853(1e-13, 1e-15, max_steps=200_000)]
     methods += [Rosenbrock(1e-12, 1e-14), Idas(1e-13, 1e-14)]
     runs = [
-        (simulate(model, grid, method, throw=False, **given), type(method).__name__)
+        (
+            simulate(model, grid, method, inputs=inputs, params=params, start=start, throw=False),
+            type(method).__name__,
+        )
         for method in methods
     ]
     good = [(run, name) for run, name in runs if run.outcome.ok]
@@ -194,7 +214,7 @@ def _named(integrators: Any) -> list[tuple[str, Contender]]:
     return [(type(one).__name__, one) for one in integrators]
 
 
-def _setting(contender: Contender) -> str:
+def setting_text(contender: Contender) -> str:
     """What sets a contender apart: its `label`, or the fields that are not their defaults."""
     if hasattr(contender, "label"):
         return str(contender.label)
@@ -210,7 +230,7 @@ def _setting(contender: Contender) -> str:
 
 
 def _runner(
-    model: Model, contender: Contender, grid: np.ndarray, given: Mapping[str, Any]
+    model: Model, contender: Contender, grid: np.ndarray, given: Given
 ) -> Callable[[], Trajectory]:
     if hasattr(contender, "solve"):
         return lambda: simulate(model, grid, contender, throw=False, **given)
