@@ -177,13 +177,13 @@ NAMES = ["dode_dt", "ode_hessian", "ode_forward", "ode_adjoint"]
 NAMES += [name.replace("ode", "alg") for name in NAMES]
 
 
-@pytest.mark.parametrize(("layout", "hub"), [
+@pytest.mark.parametrize(("layout", "in_space"), [
     ("flat", False), ("kernels", True), pytest.param("flat", True, marks=pytest.mark.slow),
     pytest.param("kernels", False, marks=pytest.mark.slow),
 ])  # fmt: skip
-def test_derivatives_by_name_in_c(layout: str, hub: bool, tmp_path: Path) -> None:
+def test_derivatives_by_name_in_c(layout: str, in_space: bool, tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
-    model = hub(layout) if hub else massless(layout)
+    model = hub(layout) if in_space else massless(layout)
     wanted = NAMES if model.n_z else [*NAMES[:4], "dout_dt", "out_forward"]
     artefact = rs.export_c(model, tmp_path / model.name, wanted)
     library = rs.load_c(artefact, model, flags=[*QUICK, *C99[1:]])
