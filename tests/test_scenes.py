@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from oracles import closed_forms, rotations, scenes
 from scenes import reference
+from scenes.small import LAWS
 
 import rbsd_sym as rs
 
 Array = NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 FORMULATIONS = [rs.Quaternion(), rs.TaitBryan()]
-LAWS = {"standard": rs.Standard(), "intrinsic": rs.Intrinsic(), "consistent": rs.Consistent()}
 # Relative rotations (rad) drawn for each law: away from the pitch of 90 degrees, and from pi.
 REACH = {"standard": 1.2, "intrinsic": 2.5, "consistent": 2.5}
 # `pair` crosses the singularity of Standard's Tait-Bryan angles, where the law jumps;

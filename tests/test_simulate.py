@@ -32,7 +32,7 @@ from scenes.driven import (
     piecewise_linear,
     sine_driven,
 )
-from scenes.small import blow_up
+from scenes.simulators import doomed
 
 import rbsd_sym as rs
 import rbsd_sym.integrators
@@ -239,22 +239,12 @@ def test_file_in_no_folder_or_of_another_kind(driven: rs.Model, tmp_path: Path) 
             rs.Trajectory.load(tmp_path / f"{name}.npz")
 
 
-@pytest.fixture(scope="module")
-def doomed() -> rs.Model:
-    """A body whose user force blows up at 1 s."""
-    body = rs.RigidBody("b", 1.0, [1, 1, 1], position=[1, 0, 0], velocity=[1, 0, 0])
-    spring = rs.RigidBodySpringDamper(
-        "c", rs.Marker(rs.GROUND), rs.Marker("b"), 0, force=blow_up
-    )
-    return rs.compile_scene(rs.Scene("doomed", [body], [spring]))
-
-
 @pytest.mark.parametrize("integrator", [
     rs.Idas(1e-10, 1e-12, max_steps=2000), rs.Rosenbrock(1e-10, 1e-12),
     rs.ExplicitRK(1e-10, 1e-12),
 ], ids=by_name)  # fmt: skip
-def test_blow_up_keeps_the_trajectory(doomed: rs.Model, integrator: Any, tmp_path: Path) -> None:
-    trajectory = rs.simulate(doomed, np.arange(0, 2, 0.0375), integrator, throw=False)
+def test_blow_up_keeps_the_trajectory(integrator: Any, tmp_path: Path) -> None:
+    trajectory = rs.simulate(doomed(), np.arange(0, 2, 0.0375), integrator, throw=False)
     assert trajectory.outcome in (rs.Outcome.too_many_steps, rs.Outcome.step_too_small)
     assert not trajectory.outcome.ok
     assert trajectory.t[-1] == pytest.approx(0.975)  # the last grid point before 1 s
@@ -266,7 +256,7 @@ def test_blow_up_keeps_the_trajectory(doomed: rs.Model, integrator: Any, tmp_pat
     loaded = rs.Trajectory.load(trajectory.save(tmp_path / "failed"))
     assert (loaded.outcome, loaded.report) == (trajectory.outcome, trajectory.report)
     with pytest.raises(rs.IntegrationError, match=r"^doomed: ") as caught:
-        rs.simulate(doomed, np.arange(0, 2, 0.0375), integrator)
+        rs.simulate(doomed(), np.arange(0, 2, 0.0375), integrator)
     assert caught.value.trajectory.report in str(caught.value)
     assert np.array_equal(caught.value.trajectory["b.p_x"], trajectory["b.p_x"])
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes.reference import build
+from scenes.small import GROUND, column
 
 import rbsd_sym as rs
 from rbsd_sym.analysis.equilibrium import Rest
@@ -17,7 +18,6 @@ from rbsd_sym.analysis.tangent import chart_of
 from rbsd_sym.model.values import locate
 
 EPS = float(np.finfo(float).eps)
-GROUND = rs.Marker(rs.GROUND)
 
 
 def axis_oscillator(m: float, k: object, d: object, outputs: list[str] | None = None) -> rs.Model:
@@ -28,18 +28,6 @@ def axis_oscillator(m: float, k: object, d: object, outputs: list[str] | None = 
     )
     load = rs.Load("pull", rs.Marker("b"), (0, rs.Input("force", "N"), 0))
     return rs.compile_scene(rs.Scene("oscillator", [body], [spring], [load], outputs=outputs))
-
-
-def column(k: object = 1.0, d: float = 0.0, law: object = None, spin: float = 0.0) -> rs.Scene:
-    """An upright bar, 1 kg, centre 0.5 m above a hinge with a weak spring."""
-    bar = rs.RigidBody(
-        "bar", 1.0, (0.08, 0.08, 0.01), position=(0, 0, 0.5), angular_velocity=(0, 0, spin)
-    )
-    hinge = rs.RigidBodySpringDamper(
-        "hinge", GROUND, rs.Marker("bar", (0, 0, -0.5)), [1e6] * 3 + [k, k, 1.0],
-        [0, 0, 0, d, d, d], law=law or rs.Consistent(),
-    )  # fmt: skip
-    return rs.Scene("column", [bar], [hinge], gravity=(0, 0, -9.81))
 
 
 def test_an_oscillator_has_the_matrices_of_the_textbook() -> None:

@@ -25,7 +25,6 @@ import numpy as np
 if not __package__:  # run as a script, from a checkout that is not installed
     sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
-from oracles import handwritten
 from paths import CHARTS
 from scenes import reference
 from scenes.speed import Case, stiff
@@ -56,14 +55,12 @@ class Entry(NamedTuple):
 @cache
 def named(name: str, law: Any = None, flat: bool = False) -> Case:
     """A reference scene, with another law, or with gravity in its plane alone."""
-    if name not in reference.SCENES:
-        reference.SCENES[name] = handwritten.chain(int(name.removeprefix("chain")))
     scene = reference.build(name)
     if law is not None:
         scene = replace(scene, connectors=[replace(c, law=law) for c in scene.connectors])
     if flat:
         scene = replace(scene, gravity=(0, -9.6, 0))
-    return Case(scene, reference.SCENES[name]["t_end"])
+    return Case(scene, reference.data(name)["t_end"])
 
 
 def idas(model: rs.Model, t_end: float, label: str) -> Contender:

@@ -71,17 +71,8 @@ SECONDS(dode_dx)
 """
 
 
-def scene_dict(name: str) -> dict[str, Any]:
-    """A reference scene, or a chain of any length."""
-    if name in reference.SCENES:
-        return reference.SCENES[name]
-    return handwritten.chain(int(name.removeprefix("chain")))
-
-
 def model_of(name: str) -> rs.Model:
     """The scene of that name, compiled."""
-    if name not in reference.SCENES:
-        reference.SCENES[name] = scene_dict(name)
     return rs.compile_scene(reference.build(name))
 
 
@@ -105,7 +96,7 @@ def cpu(run: Callable[[], Any], times: int = 1) -> float:
 
 def functions(name: str, hand: ctypes.CDLL, folder: Path) -> tuple[Any, ...]:
     """Row: scene, states, ns of the rates by hand and generated, ratios, Jacobian over rates."""
-    model, scene = model_of(name), scene_dict(name)
+    model, scene = model_of(name), reference.data(name)
     rs.export_c(model, folder, ["ode", "dode_dx"])
     (folder / "loop.c").write_text(_LOOP.replace("NAME", name))
     library = folder / "loop.so"
@@ -167,16 +158,16 @@ def fastest(run: Callable[[float], np.ndarray], error: Callable[[np.ndarray], fl
 
 def simulations(name: str, hand: ctypes.CDLL, folder: Path) -> list[tuple[Any, ...]]:
     """Rows: scene, method, ms, error, setting."""
-    scene, model = scene_dict(name), model_of(name)
+    scene, model = reference.data(name), model_of(name)
     t_end, steps = scene["t_end"], RK8_STEPS[name]
-    reference = handwritten.rk8(hand, scene, t_end, 6 * steps)
+    exact = handwritten.rk8(hand, scene, t_end, 6 * steps)
     path = [scenes.start_state(scene)]
     for _ in range(20):
         path.append(handwritten.rk8(hand, scene, t_end / 20, steps // 5, path[-1]))
     sizes = handwritten.excursions(path)
 
     def error(state: np.ndarray) -> float:
-        return float(handwritten.error(state.reshape(-1, 13), reference, sizes))
+        return float(handwritten.error(state.reshape(-1, 13), exact, sizes))
 
     def state_of(trajectory: rs.Trajectory) -> np.ndarray:
         return np.array([trajectory[label.name][-1] for label in model.x_labels])

@@ -14,14 +14,13 @@ import numpy as np
 if not __package__:  # run as a script, from a checkout that is not installed
     sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
-from paths import CHARTS, MODELS
+from paths import CHARTS
+from scenes.ocp import SLEW, SLEW_EFFORT
 
-from rbsd_sym.__main__ import load_model_file
 from rbsd_sym.ocp import Collocation, Ipopt, Shooting, optimise
 from rbsd_sym.plots.style import COLOURS, MARKERS
 from rbsd_sym.study import Table
 
-EFFORT = 0.2973110416781024533  # of the slew of two masses in 5 s
 INTERVALS = (4, 8, 16, 32, 64)
 REPEATS = 5
 METHODS = {
@@ -37,13 +36,13 @@ METHODS = {
 
 def table() -> Table:
     """Error of the least effort, error of an interval, and seconds of IPOPT, for each mesh."""
-    problem, rows = load_model_file(MODELS / "flexible_slew.py").least_effort(), []
+    problem, rows = SLEW.least_effort(), []
     for name, method in METHODS.items():
         for n in INTERVALS:
             found = optimise(problem, method(n), solver=Ipopt())
             times = [optimise(problem, method(n), solver=Ipopt(), fly=False).stats["time"]
                      for _ in range(REPEATS)]  # fmt: skip
-            rows.append((name, n, abs(found.cost - EFFORT) / EFFORT, found.mesh_error,
+            rows.append((name, n, abs(found.cost - SLEW_EFFORT) / SLEW_EFFORT, found.mesh_error,
                          float(np.median(times)), found.stats["variables"]))  # fmt: skip
     columns = ("method", "intervals", "error", "mesh_error", "time", "variables")
     return Table(columns, ("", "", "", "", "s", ""), tuple(rows))

@@ -17,9 +17,9 @@ import numpy as np
 if not __package__:  # run as a script, from a checkout that is not installed
     sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
-from paths import CHARTS, MODELS
+from paths import CHARTS
+from scenes.ocp import SLEW, TURN
 
-from rbsd_sym.__main__ import load_model_file
 from rbsd_sym.ocp import Collocation, Fatrop, Ipopt, optimise
 from rbsd_sym.study import Table
 
@@ -46,10 +46,9 @@ class Row(NamedTuple):
 def ours(name: str, solver: Any, compiled: bool, repeats: int = REPEATS) -> Row:
     """The problem of models/ with `Collocation(n, 4, "radau")`."""
     if name == "effort":
-        problem, guess = load_model_file(MODELS / "flexible_slew.py").least_effort(), None
+        problem, guess = SLEW.least_effort(), None
     else:
-        turn = load_model_file(MODELS / "reorientation.py")
-        problem, guess = turn.problem(), turn.GUESS
+        problem, guess = TURN.problem(), TURN.GUESS
     method = Collocation(INTERVALS[name], DEGREE, "radau")
     found = [optimise(problem, method, guess, solver, fly=False, compiled=compiled)
              for _ in range(repeats)]  # fmt: skip

@@ -12,30 +12,15 @@ import casadi as ca
 import numpy as np
 import pytest
 from oracles import discontinuities as closed
+from paths import MODELS
+from scenes.events import dropped
 
 import rbsd_sym as rs
+from rbsd_sym.__main__ import load_model_file
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+STICK_SLIP = load_model_file(MODELS / "stick_slip.py").scene
 METHODS = (rs.Rosenbrock(1e-10, 1e-12), rs.ExplicitRK(1e-10, 1e-12))
-
-
-def dropped(*effects: Any, **more: Any) -> rs.Model:
-    """1 kg at 0.1 m above a floor."""
-    ball = rs.RigidBody("ball", 1, (0.1, 0.1, 0.1), position=(0, 0, 0.1))
-    floor = rs.RigidBodySpringDamper(
-        "floor", rs.Marker(rs.GROUND), rs.Marker("ball"), 0, effects=effects, **more
-    )
-    return rs.compile_scene(rs.Scene("drop", [ball], [floor], gravity=(0, 0, -9.81)))
-
-
-def on_belt(belt: Any = 0.5) -> rs.Model:
-    """The block of models/stick_slip.py."""
-    block = rs.RigidBody("block", 1, (0.1, 0.1, 0.1), velocity=(0.5, 0, 0))
-    friction = rs.Friction(0, normal=10, kinetic=0.3, static=0.4, velocity=belt)
-    spring = rs.RigidBodySpringDamper(
-        "spring", rs.Marker(rs.GROUND), rs.Marker("block"), (4, 0, 0, 0, 0, 0), effects=[friction]
-    )
-    return rs.compile_scene(rs.Scene("belt", [block], [spring]))
 
 
 def simulator(model: rs.Model, folder: Path, method: Any) -> rs.Simulator:
@@ -63,7 +48,7 @@ def test_contact_in_c(stiffness: float, tmp_path: Path) -> None:
 
 
 def test_same_events_in_c_as_in_python(tmp_path: Path) -> None:
-    model, method = on_belt(), rs.Rosenbrock(1e-12, 1e-14)
+    model, method = rs.compile_scene(STICK_SLIP()), rs.Rosenbrock(1e-12, 1e-14)
     here, there = rs.simulate(model, 20.0, method), simulator(model, tmp_path, method)(20.0)
     assert [name for _, name in here.events] == [name for _, name in there.events]
     phases = closed.belt_phases(20, 1, 4, 10, 0.4, 0.3, 0.5, 0, 0.5)
@@ -77,7 +62,7 @@ def test_same_events_in_c_as_in_python(tmp_path: Path) -> None:
 
 def test_event_that_meets_an_output_time(tmp_path: Path) -> None:
     """Slip begins at t = 2, where one stretch of the C simulation ends and the next begins."""
-    run = simulator(on_belt(), tmp_path, rs.Rosenbrock())
+    run = simulator(rs.compile_scene(STICK_SLIP()), tmp_path, rs.Rosenbrock())
     for points in (200, 201, 7, 20, 1):
         (first, name), *_ = run(20.0, points=points).events
         assert name == "spring.friction_x_slips"
@@ -118,14 +103,15 @@ def test_inputs_and_parameters_in_events(tmp_path: Path) -> None:
             closed.drop_contact(1, value, 0.1, 9.81).duration, rel=1e-9
         )
     belt = rs.Input("belt", "m/s", 0.5)
-    sampled = simulator(on_belt(belt), tmp_path / "belt", rs.Rosenbrock(1e-12, 1e-14))
+    model = rs.compile_scene(STICK_SLIP(belt))
+    sampled = simulator(model, tmp_path / "belt", rs.Rosenbrock(1e-12, 1e-14))
     phases = closed.belt_phases(6, 1, 4, 10, 0.4, 0.3, 0.5, 0, 0.5)
     times = [t for t, _ in sampled(6.0, inputs={"belt": ([0, 3, 6], [0.5, 0.5, 0.5])}).events]
     assert np.abs(np.array(times) - [p.start for p in phases[1:]]).max() < 1e-9
 
 
 def test_functions_of_events_in_c(tmp_path: Path) -> None:
-    model = on_belt()
+    model = rs.compile_scene(STICK_SLIP())
     artefact = rs.export_c(model, tmp_path)
     assert {"zero", "jump"} <= set(artefact.functions)
     library = rs.load_c(artefact, model)
@@ -137,9 +123,9 @@ def test_functions_of_events_in_c(tmp_path: Path) -> None:
             here, there = (np.array(ca.DM(f.function(name)(0.0, x, z, [], [])))
                            for f in (model, library))  # fmt: skip
             assert np.abs(here - there).max() <= 1e-15 * (1 + np.abs(here).max())
-    header = (tmp_path / "belt.h").read_text()
-    assert "BELT_N_EVENTS = 3" in header
-    assert "BELT_EVENT_SPRING_FRICTION_X_STICKS = 0" in header
+    header = (tmp_path / "stick_slip.h").read_text()
+    assert "STICK_SLIP_N_EVENTS = 3" in header
+    assert "STICK_SLIP_EVENT_SPRING_FRICTION_X_STICKS = 0" in header
 
 
 def test_example_of_a_simulator_with_events_runs(tmp_path: Path) -> None:

@@ -27,6 +27,11 @@ def points(model: rs.Model, count: int = 3) -> list[list[Any]]:
     ]  # fmt: skip
 
 
+def largest(values: Any) -> float:
+    """Largest absolute value."""
+    return float(np.abs(np.asarray(values, float)).max())
+
+
 def close(a: Any, b: Any, tolerance: float = 1e-12) -> None:
     a, b = (np.array(ca.densify(ca.DM(v))) for v in (a, b))
     assert a.shape == b.shape
@@ -51,16 +56,16 @@ def compare(scene: rs.Scene, t_end: float = 0.5) -> float:
     """Largest difference of outputs between minimal and full, relative to their size."""
     times = np.linspace(0, t_end, 6)
     integrator = rs.ExplicitRK(1e-11, 1e-13)
-    small = rs.simulate(rs.compile_scene(scene), times, integrator)
-    full = rs.simulate(rs.compile_scene(scene, minimal=False), times, integrator)
+    models = [rs.compile_scene(scene, minimal=minimal) for minimal in (True, False)]
+    small, full = (rs.simulate(model, times, integrator) for model in models)
     assert small.outcome.ok
     worst = 0.0
-    for name in rs.compile_scene(scene).dae.outputs:
+    for name in models[0].dae.outputs:
         scale = max(np.abs(full[name]).max(), 1.0)
         if name.endswith("_power"):  # a small difference of large powers
             scale = max(scale, traffic(full, name.split(".")[0]))
         worst = max(worst, float(np.abs(small[name] - full[name]).max()) / scale)
-    for label in rs.compile_scene(scene, minimal=False).x_labels:
+    for label in models[1].x_labels:
         difference = np.abs(small[label.name] - full[label.name]).max()
         if label.name.split(".")[1].startswith("q_"):  # of either sign: the angle may start in -pi
             difference = np.abs(np.abs(small[label.name]) - np.abs(full[label.name])).max()

@@ -365,5 +365,5 @@ def test_governor_has_the_published_errors_of_generalized_alpha() -> None:
     """Exudyn's with rho = 0.9: 7.9e-5 m/s with steps of 1 ms, 2.0e-6 with 0.2 ms."""
     model = rs.compile_scene(published.governor())
     for h, error in ((1e-3, 7.9e-5), (2e-4, 2.0e-6)):
-        found = rs.simulate(model, [0, 1.0], GeneralizedAlpha(h))["rod0.v_y"][-1]
+        found = rs.simulate(model, [0, 1.0], GeneralizedAlpha(h))["rod_0.v_y"][-1]
         assert abs(found - published.GOVERNOR_SPEED[1.0]) == pytest.approx(error, rel=0.025)

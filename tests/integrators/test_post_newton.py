@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from oracles import discontinuities as closed
 from paths import MODELS
+from scenes.events import dropped
 
 import rbsd_sym as rs
 from rbsd_sym import __main__ as command_line
@@ -26,11 +27,7 @@ def documented() -> rs.Model:
 @cache
 def by_events() -> rs.Model:
     """The same ball and floor with the contact as an effect."""
-    ball = rs.RigidBody("ball", 1, (4e-4, 4e-4, 4e-4), position=(0, 0, 0.1))
-    floor = rs.RigidBodySpringDamper(
-        "floor", rs.Marker(rs.GROUND), rs.Marker("ball"), 0, effects=[rs.Contact(2, 1e4, 10)]
-    )
-    return rs.compile_scene(rs.Scene("bounce", [ball], [floor], gravity=(0, 0, -9.81)))
+    return dropped(rs.Contact(2, 1e4, 10))
 
 
 def height_error(run: rs.Trajectory) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable
 from typing import Any
 
@@ -12,14 +11,14 @@ import numpy as np
 import pytest
 from oracles import laws as oracle
 from oracles import rotations
-from paths import REFERENCE
+from paths import stored
 
 from rbsd_sym.base import rotation as rot
 from rbsd_sym.laws import Consistent, Intrinsic, SpringDamper, Standard, respond
 from rbsd_sym.mechanics.motion import Frame, Motion
 
 EPS = float(np.finfo(float).eps)
-STORED = json.loads((REFERENCE / "derivatives.json").read_text())
+STORED = stored("derivatives")
 CASES = STORED["cases"]
 K, OFFSET = ca.DM(STORED["stiffness"]), ca.DM(STORED["offset"])
 # Worst relative errors found, over all cases: 7e-16, 5e-15, 2e-15 and 2.4e-14 for orders 0 to 3.

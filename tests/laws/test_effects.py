@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.comparing import largest
 from oracles import discontinuities as events
-from scenes.effects import HOLDING, TIGHT, along, block, largest, times_of, unit
+from scenes.effects import HOLDING, TIGHT, along, block, times_of, unit
 
 import rbsd_sym as rs
 

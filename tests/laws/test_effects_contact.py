@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.comparing import largest
 from oracles import discontinuities as events
-from scenes.effects import TIGHT, along, block, compare, force, largest, thrown, times_of
+from scenes.effects import TIGHT, along, block, compare, force, thrown, times_of
 
 import rbsd_sym as rs
 

@@ -11,20 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.comparing import largest
 from oracles import discontinuities as events
-from scenes.effects import (
-    HOLDING,
-    LAWS,
-    SOME,
-    TIGHT,
-    along,
-    block,
-    compare,
-    driven,
-    force,
-    largest,
-    times_of,
-)
+from scenes.effects import HOLDING, SOME, TIGHT, along, block, compare, driven, force, times_of
+from scenes.small import LAWS
 
 import rbsd_sym as rs
 

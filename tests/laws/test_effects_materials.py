@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.comparing import largest
 from oracles import discontinuities as events
 from oracles import dissipation
 from scenes.effects import (
@@ -24,7 +25,6 @@ from scenes.effects import (
     driven,
     evaluate,
     force,
-    largest,
     names,
     times_of,
 )

@@ -11,9 +11,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.comparing import largest
 from oracles import discontinuities as events
 from oracles import dissipation
-from scenes.effects import along, balance, block, driven, evaluate, force, gauss, largest
+from scenes.effects import along, balance, block, driven, evaluate, force, gauss
 
 import rbsd_sym as rs
 from rbsd_sym.laws import smooth

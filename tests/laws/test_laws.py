@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +11,15 @@ import numpy as np
 import pytest
 from oracles import laws as oracle
 from oracles import rotations
-from paths import REFERENCE
-from scenes.reference import LAWS
+from paths import stored
+from scenes.small import LAWS
 
 import rbsd_sym as rs
 
 # All states are kept: functions are evaluated where a scene that starts at rest never goes.
 compiled_full = functools.partial(rs.compile_scene, minimal=False)
 EPS = float(np.finfo(float).eps)
-CASES = json.loads((REFERENCE / "laws.json").read_text())["cases"]
+CASES = stored("laws")["cases"]
 WRENCH = ("force0", "torque0", "force1", "torque1")
 # What the reference calls strain, rate and local are two outputs each.
 GROUPS = {

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from oracles import laws as oracle
 from oracles import rotations
-from scenes.reference import LAWS
+from scenes.small import LAWS
 
 import rbsd_sym as rs
 

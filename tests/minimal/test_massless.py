@@ -11,16 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 from charts import massless as chart
+from helpers.comparing import largest
 from oracles import scenes as oracle
 from scenes.massless import (
     DAMPED,
-    GROUND,
-    LAWS,
     TIGHTER,
     UNDAMPED,
-    by_law,
     ground,
-    largest,
     massless,
     oracle_states,
     residual,
@@ -30,6 +27,7 @@ from scenes.massless import (
     unbalance,
     values_of_z,
 )
+from scenes.small import GROUND, LAWS
 
 import rbsd_sym as rs
 
@@ -98,7 +96,7 @@ def test_maxwell_element(law: str, parallel: float, minimal: bool) -> None:
     assert largest(found["a.v_x"] - (v - k / c * a_x)) < 1e-8
 
 
-@by_law
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("minimal", [True, False])
 def test_kelvin_element_is_first_order(law: str, minimal: bool) -> None:
     """Spring k and damper c side by side, no mass anywhere: c x' = F - k x, and z is x'."""
@@ -230,7 +228,7 @@ def test_velocities_of_a_massless_body_are_the_rates_of_its_pose(law: str, dampi
     assert largest([W[2, 1] - w[0], W[0, 2] - w[1], W[1, 0] - w[2]]) < 1e-6 * np.linalg.norm(w)
 
 
-@by_law
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("damping", [0.0, 0.01])
 def test_wrenches_on_a_massless_body_vanish_by_the_oracle(law: str, damping: float) -> None:
     """At points of the trajectory, to rounding in its first row; so does what moves the neighbour.

@@ -10,17 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from charts import massless as chart
+from helpers.comparing import largest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracles import scenes as oracle
 from oracles.rotations import exp_so3
 from scenes.massless import (
-    GROUND,
-    LAWS,
     TIGHTER,
     Data,
-    by_law,
-    largest,
     massless,
     oracle_states,
     residual,
@@ -32,6 +29,7 @@ from scenes.massless import (
     unbalance,
     values_of_z,
 )
+from scenes.small import GROUND, LAWS
 
 import rbsd_sym as rs
 
@@ -269,7 +267,7 @@ def check_column(law: str, damping: float) -> None:
     assert model.transverse_growth(found).rate == pytest.approx(expected, rel=1e-3)
 
 
-@by_law
+@pytest.mark.parametrize("law", LAWS)
 def test_falling_column_with_a_massless_link_is_reported(law: str) -> None:
     check_column(law, 0.0)
 

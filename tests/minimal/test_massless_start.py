@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes.massless import GROUND, ground, largest, massless, residual, spring, strung, values_of_z
+from helpers.comparing import largest
+from scenes.massless import ground, massless, residual, spring, strung, values_of_z
+from scenes.small import GROUND
 
 import rbsd_sym as rs
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.comparing import compare
+from helpers.comparing import by_name, compare
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scenes import reference
-from scenes.small import BODY, GROUND, chain, one_body
+from scenes.small import BODY, GROUND, LAWS, chain, column, one_body
 
 import rbsd_sym as rs
 
@@ -21,10 +21,7 @@ def kept(scene: rs.Scene, **options: Any) -> set[str]:
     return {label.name for label in rs.compile_scene(scene, **options).x_labels}
 
 
-LAWS = [rs.Standard(), rs.Intrinsic(), rs.Consistent()]
-
-
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("law", LAWS.values(), ids=by_name)
 @pytest.mark.parametrize(("n", "offset", "states"), [(1, 0, 6), (20, 0, 120), (20, 0.1, 260)])
 def test_sizes_of_chains(law: Any, n: int, offset: float, states: int) -> None:
     assert rs.compile_scene(chain(n, law, offset)).n_x == states
@@ -110,7 +107,7 @@ def test_standard_pendulum_about_y_is_not_frozen_for_its_law_leaves_the_plane() 
 # Nothing is lost.
 
 
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("law", LAWS.values(), ids=by_name)
 def test_minimal_equals_full_for_a_chain(law: Any) -> None:
     assert compare(chain(3, law)) < 1e-9
 
@@ -146,7 +143,7 @@ def random_scene(draw: st.DrawFn) -> rs.Scene:
     """Bodies in a row, aligned or not, on connectors with zero and non-zero rows."""
     n = draw(st.integers(1, 2))
     aligned = draw(st.booleans())
-    law = draw(st.sampled_from(LAWS))
+    law = draw(st.sampled_from(list(LAWS.values())))
     bodies, joints = [], []
     for i in range(n):
         inertia = np.array([draw(st.floats(1, 2)) for _ in range(3)])
@@ -195,15 +192,6 @@ def test_random_scenes_equal_the_full_model(scene: rs.Scene) -> None:
 
 
 # What the small model cannot see.
-
-
-def column() -> rs.Scene:
-    """An upright bar on a weak hinge: mass 1, centre 0.5 m above the pivot."""
-    bar = rs.RigidBody("bar", 1.0, (0.08, 0.08, 0.01), position=(0, 0, 0.5))
-    hinge = rs.RigidBodySpringDamper(
-        "hinge", GROUND, rs.Marker("bar", (0, 0, -0.5)), [1e6] * 3 + [1.0] * 3, law=rs.Consistent()
-    )
-    return rs.Scene("column", [bar], [hinge], gravity=(0, 0, -9.81))
 
 
 def test_buckling_hidden_by_the_minimal_model_is_reported() -> None:

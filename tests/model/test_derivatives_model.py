@@ -11,7 +11,7 @@ import pytest
 from oracles import laws as oracle
 from oracles import rotations, scenes
 from scenes import reference
-from scenes.reference import LAWS
+from scenes.small import LAWS
 
 import rbsd_sym as rs
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import io
-import json
 from typing import Any
 
 import casadi as ca
@@ -14,7 +13,7 @@ from oracles import scenes as oracle
 from oracles.laws import Pose as Frame
 from oracles.laws import standard
 from oracles.rotations import exp_so3
-from paths import REFERENCE
+from paths import stored
 from scenes import reference
 
 import rbsd_sym as rs
@@ -41,7 +40,7 @@ PAGES = {
     )
 }  # fmt: skip
 T_PI = 0.9033391107665128  # s, at which 4 sin(t) = pi
-DERIVATIVES = json.loads((REFERENCE / "derivatives.json").read_text())
+DERIVATIVES = stored("derivatives")
 
 
 @functools.cache

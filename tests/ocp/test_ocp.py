@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import complex_step
-from scenes.ocp import FORCE, SLEW, cart, column, hinged, massless_slew, oscillator
+from scenes.ocp import FORCE, SLEW, cart, hinged, massless_slew, oscillator, pressed_column
 
 import rbsd_sym as rs
 from rbsd_sym.ocp import (
@@ -246,7 +246,7 @@ def test_conditions_on_unknowns_and_inputs_at_the_end() -> None:
 
 
 def test_an_unstable_motion_that_was_left_out_is_told() -> None:
-    model = rs.compile_scene(column())
+    model = rs.compile_scene(pressed_column())
     assert {label.name for label in model.x_labels} == {"bar.p_z", "bar.v_z"}
     phase = Phase(1.0, integral=FORCE**2, end={"bar.v_z": 0.0})
     found = optimise(Problem(model, phase, inputs={"force": Free()}), Collocation(40, 3))

@@ -13,7 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from scenes.ocp import FORCE, MODELS, SLEW, cart, column, hinged, massless_slew, oscillator
+from paths import MODELS
+from scenes.ocp import FORCE, SLEW, cart, hinged, massless_slew, oscillator, pressed_column
 
 import rbsd_sym as rs
 from rbsd_sym.__main__ import load_model_file
@@ -393,7 +394,7 @@ def test_what_cannot_be_exported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(ValueError, match="holds an optimal control problem; use load_problem"):
         rs.load_c(artefact)
     with pytest.raises(ValueError, match="does not match model"):
-        load_problem(artefact, rs.compile_scene(column()))
+        load_problem(artefact, rs.compile_scene(pressed_column()))
     if shutil.which("cc"):
         plain = load_problem(artefact, model, flags=["-O0"])
         with pytest.raises(ValueError, match="solver=True"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import ctypes
-import json
 import math
 import shutil
 import statistics
@@ -13,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paths import REFERENCE
+from paths import stored
 
 from oracles import handwritten, scenes
 
-SCENES = json.loads((REFERENCE / "scenes.json").read_text())["scenes"]
+SCENES = stored("scenes")["scenes"]
 EPS = np.finfo(float).eps
 MASSES = ("mass", "inertia")
 BLOCKS = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import copy
-import json
 import sys
 from typing import Any
 
 import pytest
 from oracles import rotations
 from oracles.scenes import final_state, simulate, start_state
-from paths import REFERENCE
+from paths import stored
 
 sys.__dict__.setdefault("exudynFast", True)  # before the first import, as the runner does
 exudyn = pytest.importorskip("exudyn")
@@ -18,18 +17,8 @@ exudyn = pytest.importorskip("exudyn")
 from peers import exudyn_runner as runner
 from peers.exudyn_runner import Setting
 
-SCENES = json.loads((REFERENCE / "scenes.json").read_text())["scenes"]
+SCENES = stored("scenes")["scenes"]
 NODES = ("rotvec", "ep", "rxyz")
-
-
-def chain(n: int) -> dict[str, Any]:
-    """A chain of n links from the pattern of `chain16`, without its final state."""
-    pattern = SCENES["chain16"]
-    body, joint = pattern["bodies"][0], pattern["connectors"][1]
-    bodies = [{**body, "position": [0.5 + i, 0.0, 0.0]} for i in range(n)]
-    links = [{**joint, "body0": i - 1, "body1": i} for i in range(1, n)]
-    scene = {key: pattern[key] for key in ("t_end", "gravity", "law")}
-    return {**scene, "bodies": bodies, "connectors": [pattern["connectors"][0], *links]}
 
 
 def turned() -> dict[str, Any]:

@@ -6,8 +6,9 @@ from typing import Any
 
 import rbsd_sym as rs
 
-TIGHT = {"idas": rs.Idas(1e-10, 1e-12), "rosenbrock": rs.Rosenbrock(1e-10, 1e-12),
-         "explicit": rs.ExplicitRK(1e-10, 1e-12)}  # fmt: skip
+from . import effects
+
+TIGHT = {name: effects.TIGHT[name] for name in ("idas", "rosenbrock", "explicit")}
 
 
 def names(model: rs.Model) -> list[str]:

@@ -7,12 +7,14 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from helpers.comparing import largest
 from oracles import discontinuities as events
 from oracles.rotations import exp_so3, log_so3
 
 import rbsd_sym as rs
 
-LAWS = {"standard": rs.Standard(), "intrinsic": rs.Intrinsic(), "consistent": rs.Consistent()}
+from .small import LAWS
+
 HEAVY = 1e20  # kg or kg m2: a body that forces of 1 N do not move
 TIGHT = {
     "idas": rs.Idas(1e-10, 1e-12), "rosenbrock": rs.Rosenbrock(1e-10, 1e-12),
@@ -207,11 +209,6 @@ def balance(
     if pull is not None:
         given += float(pull[0] * np.diff(along(found, pull[1])[0][[0, -1]])[0])
     return Balance(change, power["dissipated_power"], given, float(lost))
-
-
-def largest(values: Any) -> float:
-    """Largest absolute value."""
-    return float(np.abs(np.asarray(values, float)).max())
 
 
 def compare(found: rs.Trajectory, phases: list[events.Phase], axis: int, error: float) -> None:

@@ -88,6 +88,15 @@ def swing(function: Any, x: float = 0.0, v: float = 1.0, k: float = 1.0, **rest:
     return rs.compile_scene(scene, minimal=False)
 
 
+def dropped(*effects: Any, **more: Any) -> rs.Model:
+    """1 kg at 0.1 m above a floor."""
+    ball = rs.RigidBody("ball", 1, (0.1, 0.1, 0.1), position=(0, 0, 0.1))
+    floor = rs.RigidBodySpringDamper(
+        "floor", rs.Marker(rs.GROUND), rs.Marker("ball"), 0, effects=effects, **more
+    )
+    return rs.compile_scene(rs.Scene("drop", [ball], [floor], gravity=(0, 0, -9.81)))
+
+
 @cache
 def bouncing() -> rs.Model:
     """A ball with a user's impulse where it meets the floor, with Params g and e."""

@@ -6,17 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pytest
+from helpers.comparing import largest
 from oracles import scenes as oracle
 from oracles.rotations import exp_so3
 
 import rbsd_sym as rs
 
-GROUND = rs.Marker(rs.GROUND)
-LAWS = {"standard": rs.Standard(), "intrinsic": rs.Intrinsic(), "consistent": rs.Consistent()}
+from .small import GROUND, LAWS
+
 UNDAMPED, DAMPED = 0.0, 0.02  # s: damping matrix over stiffness matrix
 TIGHTER = rs.Idas(1e-11, 1e-13)
-by_law = pytest.mark.parametrize("law", LAWS)
 Data = dict[str, Any]
 
 
@@ -53,11 +52,6 @@ def residual(model: rs.Model, trajectory: rs.Trajectory, rows: Any = slice(None)
 def values_of_z(model: rs.Model) -> np.ndarray:
     """Start values in the labels of z."""
     return np.array([label.start for label in model.dae.z_labels])
-
-
-def largest(values: Any) -> float:
-    """Largest absolute value."""
-    return float(np.abs(np.array(values, float)).max())
 
 
 def linked(mass: float, damping: float, start: Mapping[str, Any] | None = None) -> rs.Scene:

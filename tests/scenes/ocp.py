@@ -11,9 +11,10 @@ import rbsd_sym as rs
 from rbsd_sym.__main__ import load_model_file
 from rbsd_sym.ocp import Solution
 
+from .small import GROUND, column
+
 SLEW = load_model_file(MODELS / "flexible_slew.py")
 TURN = load_model_file(MODELS / "reorientation.py")
-GROUND = rs.Marker(rs.GROUND)
 # [Wie, Sinha, Liu 1993], two masses and a spring, in more digits than published there.
 SLEW_TIME = 4.2178665104510231598
 SWITCHES = np.array([1.002678430378163679, 2.1089332552255115799, 3.2151880800728594808])
@@ -52,14 +53,10 @@ def massless_slew() -> rs.Scene:
     return rs.Scene("massless_slew", bodies, rods, [load])
 
 
-def column() -> rs.Scene:
-    """An upright bar on a weak hinge, which buckles; pushed along its axis."""
-    bar = rs.RigidBody("bar", 1.0, (0.08, 0.08, 0.01), position=(0, 0, 0.5))
-    hinge = rs.RigidBodySpringDamper(
-        "hinge", GROUND, rs.Marker("bar", (0, 0, -0.5)), [1e4] * 3 + [1.0] * 3, law=rs.Consistent()
-    )
-    load = rs.Load("push", rs.Marker("bar"), force=(0, 0, FORCE))
-    return rs.Scene("column", [bar], [hinge], [load], gravity=(0, 0, -9.81))
+def pressed_column() -> rs.Scene:
+    """The upright bar on a weak hinge that gives, pushed along its axis."""
+    push = rs.Load("push", rs.Marker("bar"), force=(0, 0, FORCE))
+    return column(support=1e4, loads=[push])
 
 
 def hinged(law: Any = None) -> rs.Scene:

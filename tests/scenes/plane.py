@@ -6,20 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import rbsd_sym as rs
 from rbsd_sym.formulations.plane import planes
 
-Array = NDArray[np.float64]
-LAWS = [rs.Standard(), rs.Intrinsic(), rs.Consistent()]
+from .small import EYE, Array
+
 FORMULATIONS = [rs.Quaternion(), rs.TaitBryan()]
-EYE = np.eye(3)
-
-
-def by_name(value: Any) -> str:
-    """Test id of a law or formulation."""
-    return type(value).__name__
 
 
 def matrix(q: Any) -> Array:
@@ -96,21 +89,6 @@ def reframed(scene: rs.Scene, S: dict[str, Array], by_joint: bool = False) -> rs
         for c in scene.connectors
     ]  # fmt: skip
     return replace(scene, bodies=bodies, connectors=connectors)
-
-
-def chain(n: int, law: Any, off: float = 0.0, hinge: Array = EYE, **body: Any) -> rs.Scene:
-    """Links along x that fall in the xy plane; `off` moves one marker out, `hinge` turns joints."""
-    bodies, joints = [], []
-    for i in range(n):
-        out = off if i == n // 2 else 0.0
-        numbers = {"mass": 1, "inertia": (0.01, 0.1, 0.1), **(body if i == 0 else {})}
-        bodies.append(rs.RigidBody(f"b{i}", position=(i + 0.5, 0, 0), **numbers))
-        joints.append(rs.RigidBodySpringDamper(
-            f"j{i}", rs.Marker(f"b{i - 1}", (0.5, 0, 0), hinge) if i
-            else rs.Marker(rs.GROUND, (0, 0, 0), hinge), rs.Marker(f"b{i}", (-0.5, 0, out), hinge),
-            [1e5] * 3 + [1e3] * 3, [10] * 3 + [1] * 3, law=law,
-        ))  # fmt: skip
-    return rs.Scene("chain", bodies, joints, gravity=(0, -9.81, 0))
 
 
 def shuffled(scene: rs.Scene, seed: int, R: Array | None = None, far: float = 0.0) -> rs.Scene:

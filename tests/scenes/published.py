@@ -1,4 +1,8 @@
-"""The published scenes of `shared/reference/published.md`, and the values printed there (SI)."""
+"""Scenes of Exudyn's examples and of the literature, and values of their motions (SI).
+
+The values are closed forms, or come from an extrapolation of order 16 in extended precision; those
+that test suites print are of coarse steps, and are not used. Three of the scenes are in models/.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from paths import MODELS
 
 import rbsd_sym as rs
+from rbsd_sym.__main__ import load_model_file
 
 Array = NDArray[np.float64]
 
@@ -29,16 +35,9 @@ def cuboid(mass: float, x: float, y: float, z: float) -> Array:
     return mass / 12 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
 
 
-def mini() -> rs.Scene:
-    """The mini example of the element: one body on the ground, thrown at 1000 m/s."""
-    body = rs.RigidBody("body", 1.0, [1.0, 1.0, 1.0], velocity=[0, 1000, 0])
-    spring = rs.RigidBodySpringDamper(
-        "spring", rs.Marker(rs.GROUND), rs.Marker("body"), [500, 500, 500, 0, 0, 0],
-        [0, 5, 0, 0, 0, 0],
-    )
-    return rs.Scene("mini", [body], [spring])
-
-
+mini, brick_pair, governor = (
+    load_model_file(MODELS / f"{name}.py").scene for name in ("mini", "pair", "governor")
+)
 MINI_Y = -0.83979165737914566746
 
 
@@ -68,15 +67,7 @@ def user_force() -> rs.Scene:
 
 USER_FORCE_R = {0.1: 0.18270749424034783999, 1.0: 0.19703898945856870887}
 
-STIFFNESS = np.diag([4000.0, 5000.0, 7000.0, 250.0, 500.0, 325.0])
-SPIN = 5 * np.array([1.7, 2.1, 3.2])
-
-
-def _brick(name: str, position: list[float], velocity: list[float], spin: Array) -> rs.RigidBody:
-    return rs.RigidBody(
-        name, 20.0, cuboid(20.0, 1.0, 0.1, 0.2), position=position, velocity=velocity,
-        angular_velocity=spin,
-    )
+SPIN = [8.5, 10.5, 16.0]  # rad/s, of the bricks
 
 
 def brick_on_ground(law: Any, body_first: bool = False) -> rs.Scene:
@@ -84,20 +75,13 @@ def brick_on_ground(law: Any, body_first: bool = False) -> rs.Scene:
     markers = [rs.Marker(rs.GROUND, [0.5, 0, 0]), rs.Marker("body", [-0.5, 0, 0])]
     if body_first:
         markers.reverse()
-    body = _brick("body", [1, 0, 0], [0, 1, 2], SPIN)
-    return rs.Scene("brick", [body], [rs.RigidBodySpringDamper("spring", *markers, STIFFNESS,
-                                                               law=law)])
-
-
-def brick_pair(law: Any) -> rs.Scene:
-    """The pair of the intrinsic test: two free bricks that turn against each other."""
-    bodies = [_brick("first", [0, 1, 0], [0, 0, 0], SPIN),
-              _brick("second", [1, 1, 0], [0, 0, 0], -SPIN)]
-    spring = rs.RigidBodySpringDamper(
-        "spring", rs.Marker("first", [0.5, 0, 0]), rs.Marker("second", [-0.5, 0, 0]), STIFFNESS,
-        law=law,
-    )
-    return rs.Scene("brick_pair", bodies, [spring])
+    body = rs.RigidBody(
+        "body", 20.0, cuboid(20.0, 1.0, 0.1, 0.2), position=[1, 0, 0], velocity=[0, 1, 2],
+        angular_velocity=SPIN,
+    )  # fmt: skip
+    K = [4000.0, 5000.0, 7000.0, 250.0, 500.0, 325.0]
+    spring = rs.RigidBodySpringDamper("spring", *markers, K, law=law)
+    return rs.Scene("brick", [body], [spring])
 
 
 INTRINSIC_DISPLACEMENT = {
@@ -167,73 +151,6 @@ HEAVY_TOP_CENTRE = {
     1.0: [0.1733326967159041, 0.6401387942069112, -0.7484551453954696],
     2.0: [-0.1503451462787639, -0.7241037095185683, -0.6731105507033185],
 }
-
-
-def point_spring(k: float, c: float, length: float) -> Any:
-    """A user force along the line between the two points: k (L - length) + c L'."""
-
-    def force(mbs: Any, t: Any, item: Any, displacement: Any, rotation: Any, velocity: Any,
-              *rest: Any) -> list[Any]:
-        d = displacement
-        L = np.sqrt(d @ d)
-        pull = (k * (L - length) + c * (d @ velocity) / L) / L
-        return [pull * d[0], pull * d[1], pull * d[2], 0.0, 0.0, 0.0]
-
-    return force
-
-
-_GOVERNOR_SPIN = np.array([0.0, 0.0, 0.16 * 2 * np.pi])
-
-
-def _turning(
-    name: str, mass: float, inertia: Array, position: list[float], degrees: float = 0.0,
-    com: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> rs.RigidBody:
-    """A body that turns about the world's z axis."""
-    R = turn("y", degrees)
-    return rs.RigidBody(
-        name, mass, inertia, com=com, position=position, rotation=R,
-        velocity=np.cross(_GOVERNOR_SPIN, position), angular_velocity=R.T @ _GOVERNOR_SPIN,
-    )
-
-
-def governor() -> rs.Scene:
-    """The flyball governor: shaft, slider, two rods with a point mass at the tip.
-
-    The hinges' frames are those of the bodies, so that the rods start at +-30 degrees about the
-    free axis; only so does the published stiffest mode (2.789e4 rad/s) come out.
-    """
-    m, ball = 0.3, 5.0
-    com = 0.5 * ball / (m + ball)
-    across = m * com**2 + ball * (0.5 - com) ** 2
-    inertia = cuboid(m, 1.0, 0.01, 0.01) + np.array([0, across, across])
-    reach = 0.05 + 0.5 * np.cos(np.deg2rad(30))
-    bodies = [
-        _turning("shaft", m, cuboid(m, 0.01, 0.01, 1.0), [0, 0, 0.5]),
-        _turning("slider", 3.0, cuboid(3.0, 0.1, 0.1, 0.1), [0, 0, 0.5]),
-        _turning("rod0", m + ball, inertia, [reach, 0, 0.75], 30, (com, 0, 0)),
-        _turning("rod1", m + ball, inertia, [-reach, 0, 0.75], -30, (-com, 0, 0)),
-    ]
-    kj, k2 = 2e4, 2e4 * 0.05
-    base = np.diag([kj, kj, kj, k2, k2, 0])
-    connectors = [
-        rs.RigidBodySpringDamper("base", rs.Marker(rs.GROUND), rs.Marker("shaft", [0, 0, -0.5]),
-                                 base, 0.05 * base),
-        rs.RigidBodySpringDamper("guide", rs.Marker("shaft"), rs.Marker("slider"),
-                                 [kj, kj, 0, k2, k2, k2]),
-    ]
-    for i, side in enumerate((1, -1)):
-        connectors += [
-            rs.RigidBodySpringDamper(
-                f"hinge{i}", rs.Marker("shaft", [0.05 * side, 0, 0.5]),
-                rs.Marker(f"rod{i}", [-0.5 * side, 0, 0]), [kj, kj, kj, k2, 0, k2],
-            ),
-            rs.RigidBodySpringDamper(
-                f"spring{i}", rs.Marker("slider", [0.05 * side, 0, 0]), rs.Marker(f"rod{i}"), 0,
-                force=point_spring(4000.0, 200.0, 0.5),
-            ),
-        ]  # fmt: skip
-    return rs.Scene("governor", bodies, connectors, gravity=[0, 0, -9.81])
 
 
 GOVERNOR_SPEED = {

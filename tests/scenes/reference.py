@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
-from paths import REFERENCE
+from oracles.handwritten import chain
+from paths import stored
 
 import rbsd_sym as rs
 
-LAWS = {"standard": rs.Standard(), "intrinsic": rs.Intrinsic(), "consistent": rs.Consistent()}
-SCENES = json.loads((REFERENCE / "scenes.json").read_text())["scenes"]
+from .small import LAWS
+
+SCENES = stored("scenes")["scenes"]
+
+
+def data(name: str) -> dict[str, Any]:
+    """The named scene as the oracles read it; `chain<n>` of any length, stored or not."""
+    return SCENES[name] if name in SCENES else chain(int(name.removeprefix("chain")))
 
 
 def build(name: str) -> rs.Scene:
     """The named scene; body i is `b<i>`, connector i is `c<i>`."""
-    data = SCENES[name]
+    given = data(name)
     bodies = [
         rs.RigidBody(
             f"b{i}", b["mass"], b["inertia"], position=b["position"],
             rotation=b.get("rotation", np.eye(3)), velocity=b["velocity"],
             angular_velocity=b["angular_velocity"],
         )
-        for i, b in enumerate(data["bodies"])
+        for i, b in enumerate(given["bodies"])
     ]  # fmt: skip
-    connectors = [_connector(i, c, LAWS[data["law"]]) for i, c in enumerate(data["connectors"])]
-    return rs.Scene(name, bodies, connectors, gravity=data["gravity"])
+    connectors = [_connector(i, c, LAWS[given["law"]]) for i, c in enumerate(given["connectors"])]
+    return rs.Scene(name, bodies, connectors, gravity=given["gravity"])
 
 
 def _connector(i: int, c: dict[str, Any], law: Any) -> rs.RigidBodySpringDamper:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import rbsd_sym as rs
 
+Array = NDArray[np.float64]
+LAWS = {"standard": rs.Standard(), "intrinsic": rs.Intrinsic(), "consistent": rs.Consistent()}
 GROUND, BODY = rs.Marker(rs.GROUND), rs.Marker("b")
+EYE = np.eye(3)
 def one_body(
     connector: dict[str, Any] | None = None, body: dict[str, Any] | None = None, **scene: Any
 ) -> rs.Scene:
@@ -18,19 +22,6 @@ def one_body(
         "c", **{"marker0": GROUND, "marker1": BODY, "stiffness": [100] * 6, **(connector or {})}
     )
     return rs.Scene("scene", [b], [c], **scene)
-
-
-def chain(n: int, law: Any, offset: float = 0.0) -> rs.Scene:
-    """Links along x that fall in the xy plane; `offset` moves one marker out of it."""
-    bodies, joints = [], []
-    for i in range(n):
-        out = offset if i == n // 2 else 0.0
-        bodies.append(rs.RigidBody(f"b{i}", 1, (0.01, 0.1, 0.1), position=(i + 0.5, 0, 0)))
-        joints.append(rs.RigidBodySpringDamper(
-            f"j{i}", rs.Marker(f"b{i - 1}", (0.5, 0, 0)) if i else GROUND,
-            rs.Marker(f"b{i}", (-0.5, 0, out)), [1e5] * 3 + [1e3] * 3, [10] * 3 + [1] * 3, law=law,
-        ))  # fmt: skip
-    return rs.Scene("chain", bodies, joints, gravity=(0, -9.81, 0))
 
 
 def massless() -> rs.Scene:
@@ -69,3 +60,37 @@ def blow_up(
 ) -> list[Any]:
     """x'' = 2 x^3: with x = x' = 1 at the start x = 1/(1 - t), which has no end beyond 1 s."""
     return [-2 * displacement[0] ** 3, 0, 0, 0, 0, 0]
+
+
+def chain(n: int, law: Any, off: float = 0.0, hinge: Array = EYE, **body: Any) -> rs.Scene:
+    """Links along x that fall in the xy plane; `off` moves one marker out, `hinge` turns joints."""
+    bodies, joints = [], []
+    for i in range(n):
+        out = off if i == n // 2 else 0.0
+        numbers = {"mass": 1, "inertia": (0.01, 0.1, 0.1), **(body if i == 0 else {})}
+        bodies.append(rs.RigidBody(f"b{i}", position=(i + 0.5, 0, 0), **numbers))
+        joints.append(rs.RigidBodySpringDamper(
+            f"j{i}", rs.Marker(f"b{i - 1}", (0.5, 0, 0), hinge) if i
+            else rs.Marker(rs.GROUND, (0, 0, 0), hinge), rs.Marker(f"b{i}", (-0.5, 0, out), hinge),
+            [1e5] * 3 + [1e3] * 3, [10] * 3 + [1] * 3, law=law,
+        ))  # fmt: skip
+    return rs.Scene("chain", bodies, joints, gravity=(0, -9.81, 0))
+
+
+def column(
+    k: Any = 1.0, damping: Any = 0, length: float = 0.5, support: float = 1e6, loads: Any = ()
+) -> rs.Scene:
+    """An upright bar of 1 kg that buckles where its hinge resists tilting by k < m g length.
+
+    Arguments:
+        k: N m/rad, a number or a Param.
+        damping: of the hinge, as a connector takes it.
+        length: m, from the hinge to the centre of mass.
+        support: N/m, what the hinge gives along its axes.
+    """
+    bar = rs.RigidBody("bar", 1.0, (0.08, 0.08, 0.01), position=(0, 0, length))
+    hinge = rs.RigidBodySpringDamper(
+        "hinge", GROUND, rs.Marker("bar", (0, 0, -length)), [support] * 3 + [k, k, 1.0], damping,
+        law=rs.Consistent(),
+    )  # fmt: skip
+    return rs.Scene("column", [bar], [hinge], loads, gravity=(0, 0, -9.81))

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from oracles import handwritten, scenes
+from oracles import scenes
 from oracles.rotations import Array, cross, from_quaternion
 from paths import MODELS
 
@@ -70,11 +70,8 @@ def peer_of(scene: rs.Scene, law: str = "standard") -> dict[str, Any]:
 
 
 def _reference(name: str) -> Case:
-    if name not in reference.SCENES:
-        links = int(name.removeprefix("chain"))
-        reference.SCENES[name] = handwritten.chain(links)
     scene = reference.build(name)
-    return Case(scene, reference.SCENES[name]["t_end"], peer_of(scene))
+    return Case(scene, reference.data(name)["t_end"], peer_of(scene))
 
 
 def _mini() -> Case:

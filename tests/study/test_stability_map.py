@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from oracles import mathieu
 from paths import MODELS
+from scenes.small import GROUND, column
 
 import rbsd_sym as rs
 from models import atlas
@@ -17,25 +18,16 @@ from models.atlas import kapitza
 from rbsd_sym.__main__ import main
 from rbsd_sym.analysis.floquet import NODES, NotPeriodic, floquet, monodromy
 
-GROUND = rs.Marker(rs.GROUND)
 
-
-def column(**numbers: float) -> rs.Scene:
-    """An upright bar on a weak hinge; the hinge's stiffness and damping are Params."""
-    k = rs.Param("stiffness", 1.0, "N m/rad")
+def hinged_column(length: float = 0.5) -> rs.Scene:
+    """An upright bar on a weak hinge, whose stiffness and damping are Params."""
     d = rs.Param("damping", 0.1, "N m s/rad")
-    length = numbers.get("length", 0.5)
-    bar = rs.RigidBody("bar", 1.0, (0.08, 0.08, 0.01), position=(0, 0, length))
-    hinge = rs.RigidBodySpringDamper(
-        "hinge", GROUND, rs.Marker("bar", (0, 0, -length)), [1e6] * 3 + [k, k, 1.0],
-        [10, 10, 10, d, d, 0.1], law=rs.Consistent(),
-    )  # fmt: skip
-    return rs.Scene("column", [bar], [hinge], gravity=(0, 0, -9.81))
+    return column(rs.Param("stiffness", 1.0, "N m/rad"), [10, 10, 10, d, d, 0.1], length)
 
 
 def make(point: dict) -> rs.Model:
     """The column of another length, which is no Param."""
-    return rs.compile_scene(column(length=point["length"]))
+    return rs.compile_scene(hinged_column(point["length"]))
 
 
 def exponent_of(k: float, d: float, length: float = 0.5) -> float:
@@ -144,7 +136,7 @@ def test_a_motion_that_does_not_come_back_is_told() -> None:
 
 
 def test_bad_calls_of_floquet() -> None:
-    model = rs.compile_scene(column())
+    model = rs.compile_scene(hinged_column())
     with pytest.raises(ValueError, match=r"period -1 s; it is positive"):
         floquet(model, -1)
     ball = rs.RigidBody("b", 1.0, (1, 1, 1), position=(0, 0, 1))
@@ -157,7 +149,7 @@ def test_bad_calls_of_floquet() -> None:
 
 
 def test_a_map_of_the_column_has_its_buckling_boundary() -> None:
-    model = rs.compile_scene(column())
+    model = rs.compile_scene(hinged_column())
     stiffness, damping = [1.0, 4.0, 5.0, 9.0], [0.1, 1.0]
     table = rs.study.stability_map(model, {"stiffness": stiffness}, {"damping": damping})
     assert table.units[:4] == ("N m/rad", "N m s/rad", "1/s", "1/s")
@@ -218,7 +210,7 @@ def test_points_that_fail_are_rows_with_a_reason() -> None:
     ],
 )
 def test_bad_axes_are_refused(axes: tuple, message: str) -> None:
-    model = rs.compile_scene(column())
+    model = rs.compile_scene(hinged_column())
     with pytest.raises(ValueError, match=message):
         rs.study.stability_map(model, *axes)
 
@@ -227,13 +219,14 @@ def test_what_makes_no_models_is_refused() -> None:
     with pytest.raises(TypeError, match="give a model, or make"):
         rs.study.stability_map("column", {"a": [1]}, {"b": [1]})  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="gave a Scene; it returns a model"):
-        rs.study.stability_map(lambda point: column(), {"a": [1]}, {"b": [1]})  # type: ignore[arg-type]
+        rs.study.stability_map(lambda point: hinged_column(), {"a": [1]}, {"b": [1]})  # type: ignore[arg-type]
 
 
 def test_the_chart_shows_the_boundary_and_units() -> None:
     stiffness, damping = np.linspace(1, 9, 17), [0.1, 1.0]
+    model = rs.compile_scene(hinged_column())
     table = rs.study.stability_map(
-        rs.compile_scene(column()), {"stiffness": list(stiffness)}, {"damping": list(damping)}
+        model, {"stiffness": list(stiffness)}, {"damping": list(damping)}
     )
     figure = rs.plots.stability_map(table, "column")
     panel = figure.axes[0]
