@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 # Its assertions tell values like those of the test files.
-pytest.register_assert_rewrite("effect_scenes")
+pytest.register_assert_rewrite("helpers", "scenes")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -10,10 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from paths import ROOT
 
 import rbsd_sym
 
-ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "rbsd_sym"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOOR_ROW = re.compile(r"\| (\d+) \| ([\w`, ]+) \|")

@@ -9,13 +9,13 @@ import time
 from pathlib import Path
 
 import pytest
-import reference_scenes
-from test_minimal import chain
+from paths import ROOT
+from scenes import reference
+from scenes.small import chain
 
 import rbsd_sym as rs
 from rbsd_sym.__main__ import load_model_file
 
-ROOT = Path(__file__).parents[1]
 pytestmark = pytest.mark.benchmark
 
 _LOOP = """
@@ -57,7 +57,7 @@ def nanoseconds_in_c(model: rs.Model, folder: Path, calls: int = 1_000_000) -> f
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 @pytest.mark.parametrize("name", ["single", "single_consistent", "coupled"])
 def test_rates_of_one_body_and_connector(name: str, tmp_path: Path) -> None:
-    model = rs.compile_scene(reference_scenes.build(name))
+    model = rs.compile_scene(reference.build(name))
     took = nanoseconds_in_c(model, tmp_path / name)
     print(f"\nrates of {name}, compiled C: {took:.0f} ns a call (goal: below 250)")
     assert took > 0
@@ -65,7 +65,7 @@ def test_rates_of_one_body_and_connector(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8])
 def test_mini_by_idas(rtol: float) -> None:
-    model = rs.compile_scene(reference_scenes.build("mini"))
+    model = rs.compile_scene(reference.build("mini"))
     integrator = rs.Idas(rtol=rtol, atol=rtol * 1e-2)
     times = []
     for _ in range(11):
@@ -79,7 +79,7 @@ def test_mini_by_idas(rtol: float) -> None:
 
 def test_sizes_of_minimal_models() -> None:
     scenes = {
-        "`mini`": reference_scenes.build("mini"),
+        "`mini`": reference.build("mini"),
         "planar pendulum": chain(1, rs.Standard()),
         "planar chain of 20": chain(20, rs.Standard()),
         "the same, one marker off the plane": chain(20, rs.Standard(), 0.1),

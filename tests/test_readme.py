@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import ROOT
 
 import rbsd_sym as rs
 from rbsd_sym import __main__ as command_line
 from rbsd_sym.analysis.linearize import Linear
 
-ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 MODELS = sorted((ROOT / "models").glob("*.py"))
 

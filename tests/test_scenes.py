@@ -8,25 +8,25 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-import reference_scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from oracles import closed_forms, rotations, scenes
+from scenes import reference
+from scenes.small import LAWS
 
 import rbsd_sym as rs
 
 Array = NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 FORMULATIONS = [rs.Quaternion(), rs.TaitBryan()]
-LAWS = {"standard": rs.Standard(), "intrinsic": rs.Intrinsic(), "consistent": rs.Consistent()}
 # Relative rotations (rad) drawn for each law: away from the pitch of 90 degrees, and from pi.
 REACH = {"standard": 1.2, "intrinsic": 2.5, "consistent": 2.5}
 # `pair` crosses the singularity of Standard's Tait-Bryan angles, where the law jumps;
 # `pair_intrinsic` amplifies a start perturbation by up to 4e7, so 1e-10 leaves about 1e-5.
 LIMITS = {"pair": 2e-2, "pair_intrinsic": 1e-3}
 # Bodies of the pairs turn through a pitch of 90 degrees; all others stay away from it.
-SMALL_PITCH = [name for name in reference_scenes.REFERENCE if not name.startswith("pair")]
+SMALL_PITCH = [name for name in reference.SCENES if not name.startswith("pair")]
 # Random, but the same in every run, and without a database file in the working folder.
 few = settings(max_examples=15, deadline=None, derandomize=True, database=None)
 
@@ -36,29 +36,29 @@ def by_name(value: Any) -> str:
     return type(value).__name__
 
 
-@pytest.mark.parametrize("name", reference_scenes.REFERENCE)
+@pytest.mark.parametrize("name", reference.SCENES)
 def test_reference_scene(name: str) -> None:
-    model = rs.compile_scene(reference_scenes.build(name))
+    model = rs.compile_scene(reference.build(name))
     trajectory = rs.simulate(
-        model, reference_scenes.REFERENCE[name]["t_end"], rs.Idas(rtol=1e-10, atol=1e-12)
+        model, reference.SCENES[name]["t_end"], rs.Idas(rtol=1e-10, atol=1e-12)
     )
-    assert reference_scenes.error(name, trajectory) < LIMITS.get(name, 1e-7)
+    assert reference.error(name, trajectory) < LIMITS.get(name, 1e-7)
 
 
 @pytest.mark.parametrize(
     "integrator", [rs.Idas(1e-14, 1e-14), rs.ExplicitRK(1e-13, 1e-14)], ids=by_name
 )
 def test_sensitive_reference_scene_at_the_tightest_tolerances(integrator: Any) -> None:
-    model = rs.compile_scene(reference_scenes.build("pair_intrinsic"))
+    model = rs.compile_scene(reference.build("pair_intrinsic"))
     trajectory = rs.simulate(model, 1.0, integrator)
-    assert reference_scenes.error("pair_intrinsic", trajectory) < 1e-7
+    assert reference.error("pair_intrinsic", trajectory) < 1e-7
 
 
 @pytest.mark.parametrize("name", SMALL_PITCH)
 def test_formulations_agree(name: str) -> None:
     """Along the whole motion, through outputs: the states differ."""
-    t_end = reference_scenes.REFERENCE[name]["t_end"]
-    scene = reference_scenes.build(name)
+    t_end = reference.SCENES[name]["t_end"]
+    scene = reference.build(name)
     one, other = (
         rs.simulate(rs.compile_scene(scene, formulation=f), t_end, rs.Idas(1e-10, 1e-12))
         for f in FORMULATIONS

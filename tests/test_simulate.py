@@ -16,64 +16,36 @@ from typing import Any
 
 import numpy as np
 import pytest
-import reference_scenes
+from helpers.comparing import by_name
 from numpy.typing import NDArray
 from oracles import closed_forms, rotations
+from scenes import reference
+from scenes.driven import (
+    CLOSE,
+    FORCES,
+    GRID,
+    KNOTS,
+    D,
+    K,
+    M,
+    oscillator,
+    piecewise_linear,
+    sine_driven,
+)
+from scenes.simulators import doomed
 
 import rbsd_sym as rs
 import rbsd_sym.integrators
 
 Array = NDArray[np.float64]
-M, K, D = 2.0, 40.0, 0.8
 TIGHT = [rs.Idas(1e-10, 1e-12), rs.Rosenbrock(1e-10, 1e-12), rs.ExplicitRK(1e-10, 1e-12)]
-CLOSE = 1e-8  # m, for motions of 0.1 m at TIGHT; each integrator is within 3e-9
-GRID = np.linspace(0.0, 2.0, 41)
-
-
-def by_name(value: Any) -> str:
-    """Test id of an integrator."""
-    return type(value).__name__
-
-
 every_integrator = pytest.mark.parametrize("integrator", TIGHT, ids=by_name)
-
-
-def oscillator(force: Any, k: Any = K) -> rs.Model:
-    """m x'' + d x' + k x = force along x, on the ground; the other directions rest."""
-    body = rs.RigidBody("b", M, [0.1, 0.2, 0.25], velocity=[0.5, 0, 0])
-    spring = rs.RigidBodySpringDamper(
-        "c", rs.Marker(rs.GROUND), rs.Marker("b"), [k, K, K, 10, 10, 10], [D, D, D, 0.1, 0.1, 0.1]
-    )
-    load = rs.Load("push", rs.Marker("b"), [force, 0, 0])
-    return rs.compile_scene(rs.Scene("oscillator", [body], [spring], [load]))
 
 
 @pytest.fixture(scope="module")
 def driven() -> rs.Model:
     """The oscillator with input `pull` and parameter `k`."""
     return oscillator(rs.Input("pull", "N"), rs.Param("k", K, "N/m"))
-
-
-def piecewise_linear(t: Array, knots: Array, forces: Array, x: float, v: float) -> Array:
-    """Closed form for a force linear between knots: on each piece a line plus free vibration."""
-    out = np.empty_like(t)
-    for t0, t1, f0, f1 in zip(knots, knots[1:], forces, forces[1:], strict=False):
-        slope = (f1 - f0) / (t1 - t0)
-        at0, rate = f0 / K - slope * D / K**2, slope / K  # a particular motion
-        now = (t >= t0) & (t <= t1)
-        free, _ = closed_forms.damped_oscillator(t[now] - t0, M, K, D, v - rate, x - at0)
-        out[now] = at0 + rate * (t[now] - t0) + free
-        ends = closed_forms.damped_oscillator(t1 - t0, M, K, D, v - rate, x - at0)
-        x, v = at0 + rate * (t1 - t0) + float(ends[0]), rate + float(ends[1])
-    return out
-
-
-def sine_driven(t: Array, f: float, w: float, x: float, v: float) -> Array:
-    """Closed form for the force f sin(w t): steady vibration plus free vibration."""
-    a, b = K - M * w * w, D * w
-    sine, cosine = f * a / (a * a + b * b), -f * b / (a * a + b * b)
-    free, _ = closed_forms.damped_oscillator(t, M, K, D, v - sine * w, x - cosine)
-    return sine * np.sin(w * t) + cosine * np.cos(w * t) + free
 
 
 @every_integrator
@@ -120,9 +92,6 @@ def test_function_that_branches(driven: rs.Model, integrator: Any) -> None:
     x, v = trajectory["b.p_x"][first][-1], trajectory["b.v_x"][first][-1]
     after = piecewise_linear(GRID[~first], np.array([0.5, 2]), np.array([-2.0, -2.0]), x, v)
     assert np.abs(trajectory["b.p_x"][~first] - after).max() < CLOSE
-
-
-KNOTS, FORCES = np.array([0.1, 0.3, 0.5, 1.2, 1.7]), np.array([1.0, 3.0, -2.0, 5.0, 1.0])
 
 
 @every_integrator
@@ -270,29 +239,12 @@ def test_file_in_no_folder_or_of_another_kind(driven: rs.Model, tmp_path: Path) 
             rs.Trajectory.load(tmp_path / f"{name}.npz")
 
 
-def blow_up(
-    mbs: Any, t: Any, item: Any, displacement: Any, rotation: Any, velocity: Any, *rest: Any
-) -> list[Any]:
-    """x'' = 2 x^3: with x = x' = 1 at the start x = 1/(1 - t), which has no end beyond 1 s."""
-    return [-2 * displacement[0] ** 3, 0, 0, 0, 0, 0]
-
-
-@pytest.fixture(scope="module")
-def doomed() -> rs.Model:
-    """A body whose user force blows up at 1 s."""
-    body = rs.RigidBody("b", 1.0, [1, 1, 1], position=[1, 0, 0], velocity=[1, 0, 0])
-    spring = rs.RigidBodySpringDamper(
-        "c", rs.Marker(rs.GROUND), rs.Marker("b"), 0, force=blow_up
-    )
-    return rs.compile_scene(rs.Scene("doomed", [body], [spring]))
-
-
 @pytest.mark.parametrize("integrator", [
     rs.Idas(1e-10, 1e-12, max_steps=2000), rs.Rosenbrock(1e-10, 1e-12),
     rs.ExplicitRK(1e-10, 1e-12),
 ], ids=by_name)  # fmt: skip
-def test_blow_up_keeps_the_trajectory(doomed: rs.Model, integrator: Any, tmp_path: Path) -> None:
-    trajectory = rs.simulate(doomed, np.arange(0, 2, 0.0375), integrator, throw=False)
+def test_blow_up_keeps_the_trajectory(integrator: Any, tmp_path: Path) -> None:
+    trajectory = rs.simulate(doomed(), np.arange(0, 2, 0.0375), integrator, throw=False)
     assert trajectory.outcome in (rs.Outcome.too_many_steps, rs.Outcome.step_too_small)
     assert not trajectory.outcome.ok
     assert trajectory.t[-1] == pytest.approx(0.975)  # the last grid point before 1 s
@@ -304,7 +256,7 @@ def test_blow_up_keeps_the_trajectory(doomed: rs.Model, integrator: Any, tmp_pat
     loaded = rs.Trajectory.load(trajectory.save(tmp_path / "failed"))
     assert (loaded.outcome, loaded.report) == (trajectory.outcome, trajectory.report)
     with pytest.raises(rs.IntegrationError, match=r"^doomed: ") as caught:
-        rs.simulate(doomed, np.arange(0, 2, 0.0375), integrator)
+        rs.simulate(doomed(), np.arange(0, 2, 0.0375), integrator)
     assert caught.value.trajectory.report in str(caught.value)
     assert np.array_equal(caught.value.trajectory["b.p_x"], trajectory["b.p_x"])
 
@@ -387,7 +339,7 @@ def test_error_follows_tolerance_or_step(driven: rs.Model, kind: Any) -> None:
 
 
 def test_trajectories_and_failures_travel_between_processes() -> None:
-    trajectory = rs.simulate(rs.compile_scene(reference_scenes.build("mini")), 0.1)
+    trajectory = rs.simulate(rs.compile_scene(reference.build("mini")), 0.1)
     energy = trajectory["energy"]
     copy = pickle.loads(pickle.dumps(trajectory))
     assert (copy["energy"] == energy).all()

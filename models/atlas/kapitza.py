@@ -19,26 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rbsd_sym import (
-    GROUND,
-    TIME,
-    Idas,
-    Marker,
-    Model,
-    Param,
-    RigidBody,
-    RigidBodySpringDamper,
-    Scene,
-    compile_scene,
-    linearize,
-    simulate,
-    static_equilibrium,
-)
+from rbsd_sym import Idas, Model, compile_scene, linearize, simulate, static_equilibrium
 from rbsd_sym.analysis.floquet import floquet
 from rbsd_sym.plots import stability_map as draw_map
 from rbsd_sym.plots.style import COLOURS, STYLES
 from rbsd_sym.study import Table
 from rbsd_sym.study.stability_map import stability_map
+
+from .pages import model_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,31 +34,13 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 13
+scene = model_file("kapitza").scene
 LENGTH, INERTIA, GRAVITY, DAMPING = 0.5, 1 / 12 + 0.25, 9.81, 0.02  # m, kg m2 about the hinge, ...
 REDUCED = INERTIA / LENGTH  # m, of the simple pendulum of the same frequency, for 1 kg
-_STIFF = 30  # times the drive's frequency
 _TILT = 1e-3  # rad, at the start of a simulation
 _SPAN = 3.0  # s
 _RUNS = ((20.0, 0.02, "too little"), (20.0, 0.1, "enough"), (20.0, 0.35, "too far"))
 _HARMONICS = 12
-
-
-def scene() -> Scene:
-    """1 kg, 1 m high, on a hinge whose offset vibrates along the vertical."""
-    amplitude, frequency = Param("amplitude", 0.1, "m"), Param("frequency", 20.0, "Hz")
-    w = 2 * np.pi * frequency
-    k, d = (_STIFF * w) ** 2, 0.2 * _STIFF * w
-    phase: Any = w * TIME
-    body = RigidBody("body", 1.0, (1 / 12, 1 / 12, 1e-3), position=(0, 0, LENGTH))
-    pivot = RigidBodySpringDamper(
-        "pivot",
-        Marker(GROUND),
-        Marker("body", (0, 0, -LENGTH)),
-        (k, k, k, 0, 0, 1),
-        damping=(d, d, d, DAMPING, DAMPING, DAMPING),
-        offset=(0, 0, amplitude * np.sin(phase), 0, 0, 0),
-    )
-    return Scene("kapitza", [body], [pivot], gravity=(0, 0, -GRAVITY))
 
 
 def theory(frequency: float) -> tuple[float, float]:

@@ -6,8 +6,10 @@ import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple
 
+from rbsd_sym.__main__ import load_model_file
 from rbsd_sym.base.files import write_whole
 from rbsd_sym.study import Table
 
@@ -28,6 +30,11 @@ class Page(NamedTuple):
     text: str
     study: Callable[[bool], Tables]
     draw: Callable[[Tables], Figure]
+
+
+def model_file(name: str) -> ModuleType:
+    """A file of models/, beside the atlas."""
+    return load_model_file(Path(__file__).parents[1] / f"{name}.py")
 
 
 def pages() -> tuple[Page, ...]:

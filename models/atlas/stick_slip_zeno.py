@@ -21,7 +21,6 @@ from rbsd_sym import (
     Contact,
     Dop853,
     ExplicitRK,
-    Friction,
     GeneralizedAlpha,
     Idas,
     Impact,
@@ -36,6 +35,7 @@ from rbsd_sym import (
 from rbsd_sym.study import Table
 
 from .oscillators import legend_below, look
+from .pages import model_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 12
+_stick_slip = model_file("stick_slip").scene
 BELT, NORMAL, STATIC, KINETIC, SPRING = 0.5, 10.0, 0.4, 0.3, 4.0  # m/s, N, -, -, N/m; 1 kg
 GRAVITY, HEIGHT = 9.81, 1.0  # m/s2, m
 _END = 10.0  # s
@@ -76,17 +77,6 @@ def zeno_time(restitution: float) -> float:
     return (impact + 2 * impact * restitution / (1 - restitution)) / GRAVITY
 
 
-def _block(width: float) -> Any:
-    block = RigidBody("block", 1, (0.1, 0.1, 0.1), velocity=(BELT, 0, 0))
-    friction = Friction(
-        0, normal=NORMAL, kinetic=KINETIC, static=STATIC, velocity=BELT, smoothing=width
-    )
-    spring = RigidBodySpringDamper(
-        "spring", Marker(GROUND), Marker("block"), (SPRING, 0, 0, 0, 0, 0), effects=[friction]
-    )
-    return compile_scene(Scene("stick_slip", [block], [spring]))
-
-
 def _ball(floor: Any) -> Any:
     ball = RigidBody("ball", 1, (1, 1, 1), position=(0, 0, HEIGHT))
     floor = RigidBodySpringDamper("floor", Marker(GROUND), Marker("ball"), 0, effects=[floor])
@@ -118,7 +108,7 @@ def _friction(widths: np.ndarray) -> tuple[Table, Table]:
     }
     rows, paths = [], {}
     for width in (0.0, *map(float, widths)):
-        model = _block(width)
+        model = compile_scene(_stick_slip(smoothing=width))
         for name, method in methods.items():
             if not width and name == "ExplicitRK":
                 continue  # sticking holds by an algebraic unknown, which it does not take

@@ -144,7 +144,7 @@ def _observed(state: Array) -> list[Array]:
 def excursions(trajectory: Sequence[Array]) -> list[Array]:
     """Largest distance from the start over some states, at least 1e-3: 4 quantities, (n,) each.
 
-    The measure of `reference_scenes.error`.
+    The measure of `scenes.reference.error`.
     """
     observed = [np.array(values) for values in zip(*map(_observed, trajectory), strict=True)]
     distances = (np.abs(values - values[0]).max(axis=0) for values in observed)

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import functools
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from paths import stored
 
 from . import closed_forms, laws, rotations, scenes
 from .laws import LawResult, Pose
 
-REFERENCE = Path(__file__).parents[1] / "reference"
-LAW_CASES = json.loads((REFERENCE / "laws.json").read_text())["cases"]
-DERIVATIVES = json.loads((REFERENCE / "derivatives.json").read_text())
-SCENES = json.loads((REFERENCE / "scenes.json").read_text())["scenes"]
+LAW_CASES = stored("laws")["cases"]
+DERIVATIVES = stored("derivatives")
+SCENES = stored("scenes")["scenes"]
 EPS = np.finfo(float).eps
 # The slender brick of the published intrinsic test, its stiffness, and no damping.
 BRICK = SCENES["pair"]["bodies"][0]

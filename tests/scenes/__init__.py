@@ -1,0 +1,1 @@
+"""Scenes that tests of several folders, charts and peers share; each is written here once."""
