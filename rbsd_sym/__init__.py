@@ -4,9 +4,10 @@ The file to read first is `pipeline.py`.
 """
 
 from . import ocp, plots, study
-from .analysis.equilibrium import EquilibriumError, static_equilibrium
-from .analysis.linearize import linearize
-from .analysis.sensitivity import sensitivity
+from .analysis.equilibrium import Equilibrium, EquilibriumError, static_equilibrium
+from .analysis.floquet import Floquet, NotPeriodic, floquet
+from .analysis.linearize import Linear, linearize
+from .analysis.sensitivity import Sensitivity, sensitivity
 from .base.symbols import TIME, Input, Param, where
 from .exports import (
     Artefact,
@@ -46,7 +47,9 @@ from .laws import (
     stops,
 )
 from .model.model import Model
+from .model.signals import Inputs
 from .model.trajectory import Outcome, Trajectory
+from .model.values import Point, locate
 from .pipeline import IntegrationError, compile_scene, simulate
 from .scene.elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
 from .scene.functions import Event
@@ -64,33 +67,40 @@ __all__ = [
     "Contact",
     "Cubic",
     "Dop853",
+    "Equilibrium",
     "EquilibriumError",
     "Event",
     "ExplicitRK",
+    "Floquet",
     "Fracture",
     "Friction",
     "GeneralizedAlpha",
     "Idas",
     "Impact",
     "Input",
+    "Inputs",
     "IntegrationError",
     "Intrinsic",
     "Library",
+    "Linear",
     "Load",
     "LuGre",
     "Marker",
     "Maxwell",
     "Model",
     "ModelWarning",
+    "NotPeriodic",
     "Outcome",
     "Param",
     "Plastic",
+    "Point",
     "PostNewton",
     "Quaternion",
     "RigidBody",
     "RigidBodySpringDamper",
     "Rosenbrock",
     "Scene",
+    "Sensitivity",
     "Simulator",
     "Standard",
     "Table",
@@ -101,9 +111,11 @@ __all__ = [
     "compiled",
     "export_c",
     "export_simulator",
+    "floquet",
     "linearize",
     "load_c",
     "load_simulator",
+    "locate",
     "ocp",
     "plots",
     "sensitivity",

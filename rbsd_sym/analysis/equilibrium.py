@@ -12,7 +12,7 @@ import numpy as np
 from ..base.linalg import Slope, named_directions
 from ..model.model import Model
 from ..model.signals import Inputs
-from ..model.values import Params, Point, Start, locate
+from ..model.values import Params, Point, Start, as_model, locate
 from .tangent import Chart, chart_of, left_inverse
 
 _SETTLED = 1e-12  # last step, relative to 1 + |value|
@@ -81,6 +81,9 @@ class Equilibrium:
     def __str__(self) -> str:
         return f"{self.name}: {self.report}"
 
+    def __repr__(self) -> str:
+        return f"<Equilibrium of '{self.name}': {self.outcome.value}>"
+
 
 def static_equilibrium(
     model: Model,
@@ -113,6 +116,7 @@ def static_equilibrium(
         ValueError: unknown names, values that are no finite numbers.
         EquilibriumError: no rest was found.
     """
+    as_model(model, "static_equilibrium")
     point = locate(model, inputs=inputs, params=params, start=start, t=t)
     problem = _Problem(model, _stopped(model, point))
     outcome, count = problem.search(iterations)

@@ -18,8 +18,8 @@ from ..integrators import Idas
 from ..model.model import Model
 from ..model.signals import Inputs
 from ..model.trajectory import Trajectory
-from ..model.values import Params, Point, Start, locate, make_experiment
-from ..pipeline import IntegrationError, Integrator
+from ..model.values import Params, Point, Start, as_model, locate, make_experiment
+from ..pipeline import IntegrationError, Integrator, as_integrator
 from .linearize import balanced, left_out_tangent
 from .tangent import Chart, chart_of, left_inverse
 
@@ -75,6 +75,9 @@ class Floquet:
         both = np.concatenate([self.kept.values, self.left_out.values])
         return float(np.abs(both).max(initial=0.0))
 
+    def __repr__(self) -> str:
+        return f"<Floquet: period {self.period:.6g} s, growth {self.abscissa:.6g} 1/s>"
+
     @property
     def abscissa(self) -> float:
         """Largest growth rate, 1/s."""
@@ -115,13 +118,14 @@ def floquet(
         NotPeriodic: no periodic motion near the start, or a drive of another period.
         IntegrationError: the motion could not be integrated.
     """
+    as_model(model, "floquet")
     where = f"floquet of '{model.name}'"
     if not (np.isfinite(period) and period > 0):
         raise ValueError(f"{where}: period {period} s; it is positive and finite")
     if model.events or model.dae.updates:
         raise ValueError(f"{where}: the model has events; give its effects smoothing")
     point = locate(model, params=params, start=start, t=t)
-    method = integrator or Idas(rtol=1e-10, atol=1e-12)
+    method = as_integrator(integrator or Idas(rtol=1e-10, atol=1e-12), "floquet")
     return _Orbit(model, period, inputs or {}, params or {}, method, accuracy).find(point)
 
 

@@ -132,6 +132,9 @@ class Linear:
         """Part of each state in a mode, by name."""
         return dict(zip((s.name for s in self.states), self.modes[:, index].tolist(), strict=True))
 
+    def __repr__(self) -> str:
+        return f"<Linear '{self.name}': {len(self.states)} states at t = {self.point.t:.6g} s>"
+
     def __str__(self) -> str:
         verdict = "unstable" if not self.stable else "stable" if self.abscissa < 0 else "neutral"
         lines = [

@@ -16,7 +16,7 @@ from ..dae.members import Label
 from ..model.model import Model
 from ..model.signals import Inputs, symbolic
 from ..model.trajectory import Trajectory
-from ..model.values import Experiment, Params, Start, Times, make_experiment
+from ..model.values import Experiment, Params, Start, Times, as_model, make_experiment
 from ..pipeline import Integrator, as_integrator, simulate
 from .flow import Flow
 from .flow_options import PLUGINS
@@ -56,6 +56,10 @@ class Sensitivity:
                 + ", ".join(self.derivatives)
             )
         return self.derivatives[name]
+
+    def __repr__(self) -> str:
+        wrt = ", ".join(label.name for label in self.wrt)
+        return f"<Sensitivity of {', '.join(self.derivatives)} by {wrt}>"
 
     def by(self, output: str, wrt: str) -> np.ndarray:
         """Derivative of one output by one name.
@@ -104,6 +108,7 @@ def sensitivity(
             function CasADi cannot trace, an integrator or a mode that is not served.
         IntegrationError: the integration failed, or its derivatives did.
     """
+    as_model(model, "sensitivity")
     if mode not in ("forward", "adjoint"):
         raise ValueError(f"sensitivity: mode {mode!r}; it is 'forward' or 'adjoint'")
     method = as_integrator(integrator, "sensitivity")

@@ -1,11 +1,12 @@
-"""Writing a file whole or not at all."""
+"""Files written whole or not at all, and the data frames of pandas."""
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object], who: str) -> Path:
@@ -31,3 +32,15 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object], who: str) -> P
     finally:
         temporary.unlink(missing_ok=True)
     return path
+
+
+def data_frame() -> Any:
+    """Return pandas' DataFrame, imported only when it is asked for.
+
+    Raises:
+        ImportError: pandas is not installed.
+    """
+    try:
+        return importlib.import_module("pandas").DataFrame
+    except ImportError as error:
+        raise ImportError("to_pandas: pandas is not installed; run pip install pandas") from error

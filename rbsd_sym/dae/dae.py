@@ -106,6 +106,10 @@ class Dae:
     idle_p_labels: tuple[Label, ...] = ()
     source: str = field(default="", repr=False)
 
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{kind} ({getattr(self, kind).numel()})" for kind in "xzup")
+        return f"<Dae '{self.name}': {sizes}>"
+
     @cached_property
     def _rows(self) -> tuple[ca.SX, ca.SX]:
         ode, alg = [ca.SX(0)] * self.x.numel(), [ca.SX(0)] * self.z.numel()

@@ -13,6 +13,7 @@ import casadi as ca
 from .. import version
 from ..base.names import derivative
 from ..model.model import Model
+from ..model.values import as_model
 from . import c_names as names
 from .card import card_text
 from .example import example_text
@@ -37,7 +38,7 @@ def export_c(
     Raises:
         ValueError: unknown function, names that collide in C, a folder that cannot be written.
     """
-    model = model.plain
+    model = as_model(model, "export_c").plain
     chosen = list(functions) if functions is not None else _default(model)
     exported = [_exported(model, name) for name in dict.fromkeys(chosen)]
     target = Path(folder)

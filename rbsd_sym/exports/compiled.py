@@ -9,6 +9,7 @@ import casadi as ca
 
 from ..model.assembly import with_jacobian
 from ..model.model import Model
+from ..model.values import as_model
 from . import c_names as names
 from .load import OPTIMISED, build
 from .loops import assembles, stub, with_loops
@@ -25,7 +26,7 @@ def compiled(model: Model, compiler: str | None = None, flags: Sequence[str] = O
         CompilerMissing: there is no compiler.
         RuntimeError: the compiler failed; with its message.
     """
-    model = model.plain
+    model = as_model(model, "compiled").plain
     rates = [name for name, rows in (("ode", model.n_x), ("alg", model.n_z)) if rows]
     if not rates:
         return model  # nothing in the scene can move

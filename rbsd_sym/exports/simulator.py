@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import casadi as ca
 
 from ..model.model import Model
+from ..model.values import as_model
 from .c import call_lines, manifest_text
 from .dop853_text import explicit_parts, tangent_parts
 from .folder import MANIFEST, Artefact, template, write_folder
@@ -64,7 +65,7 @@ def export_simulator(
     Raises:
         ValueError: a method that cannot be written to C, or not for this model.
     """
-    model = model.plain
+    model = as_model(model, "export_simulator").plain
     _check(model, integrator, sensitivities)
     name = simulator_name(model)
     source = (

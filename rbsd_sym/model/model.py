@@ -73,6 +73,12 @@ class Model:
     _cache: dict[Hashable, Any] = field(default_factory=dict, repr=False, init=False)
     scene: object | None = field(default=None, repr=False)
 
+    def __repr__(self) -> str:
+        return (
+            f"<Model '{self.name}': {self.n_x} states, {self.n_z} algebraic, {self.n_u} inputs, "
+            f"{self.n_p} parameters>"
+        )
+
     @property
     def name(self) -> str:
         """Name of the scene."""

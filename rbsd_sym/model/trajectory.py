@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 import numpy as np
 
-from ..base.files import write_whole
+from ..base.files import data_frame, write_whole
+from ..base.names import joined
+
+if TYPE_CHECKING:
+    import pandas
 
 _FORMAT = 1
 
@@ -88,6 +92,42 @@ class Trajectory:
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.column(name).values
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the columns it holds; outputs join them when they are first asked for."""
+        return iter(tuple(self.columns))
+
+    def __repr__(self) -> str:
+        return (
+            f"<Trajectory '{self.name}': {len(self.t)} times from {self.t[0]:.6g} to "
+            f"{self.t[-1]:.6g} s, {self.outcome.name}>"
+        )
+
+    def to_pandas(self, names: Sequence[str] | None = None) -> pandas.DataFrame:
+        """Return columns as a pandas DataFrame over the time in s.
+
+        Arguments:
+            names: of columns, also of outputs that are not evaluated yet; by default what the
+                trajectory holds. A vector becomes a column for each component.
+
+        Raises:
+            ImportError: pandas is not installed.
+            ValueError: no such column.
+
+        >>> trajectory.to_pandas(["arm.position"])["arm.position_x"]  # doctest: +SKIP
+        """
+        frame = data_frame()
+        chosen = list(self) if names is None else list(names)
+        self.evaluate([name for name in chosen if name not in self.parameters])
+        series: dict[str, np.ndarray] = {}
+        for name in chosen:
+            column = self.column(name)
+            flat = column.values.reshape(len(self.t), -1)
+            parts = column.components
+            if len(parts) != flat.shape[1]:
+                parts = tuple(str(i) for i in range(flat.shape[1])) if flat.shape[1] > 1 else ("",)
+            series |= {joined("", name, part): flat[:, i] for i, part in enumerate(parts)}
+        return frame(series, index=self.t)
 
     def __contains__(self, name: str) -> bool:
         try:

@@ -16,7 +16,7 @@ from .trajectory import Trajectory
 
 _LISTED = 30  # names in an error message
 _SAME = 1e-9  # of a run: two times that close are one
-_DEFAULT_INTERVALS = 200
+_DEFAULT_INTERVALS = 200  # of a run of which only the end is given
 
 
 @dataclass(frozen=True, eq=False)

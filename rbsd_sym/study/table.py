@@ -10,12 +10,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Union
+from typing import TYPE_CHECKING, Any, Union
 
 import casadi as ca
 import numpy as np
 
-from ..base.files import write_whole
+from ..base.files import data_frame, write_whole
+
+if TYPE_CHECKING:
+    import pandas
 
 Cell = Union[float, str, tuple, None]
 
@@ -152,6 +155,17 @@ class ResultTable:
         cells = [[text.replace("|", "\\|") for text in line] for line in self._lines()]
         rule = ["--:" if right else "---" for right in self._right()]
         return "\n".join(f"| {' | '.join(line)} |" for line in (cells[0], rule, *cells[1:])) + "\n"
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the table as a pandas DataFrame; units are left out.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        return data_frame()([list(row) for row in self.rows], columns=list(self.columns))
+
+    def __repr__(self) -> str:
+        return f"<Table of {len(self.rows)} rows: {', '.join(self.columns)}>"
 
     def __str__(self) -> str:
         lines, right = self._lines(), self._right()
