@@ -1,4 +1,4 @@
-"""The rules of the house, read from the source: floors, sizes, names, docstrings, lint, types."""
+"""The rules of the house, read from the source: rooms, floors, names, docstrings, lint, types."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import re
 import shutil
 import subprocess
 import sys
+import types
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -60,9 +62,8 @@ def test_absolute_imports_of_the_package_are_not_used() -> None:
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_sizes_and_habits(path: Path) -> None:
-    text = path.read_text()
-    for node in ast.walk(ast.parse(text)):
+def test_habits(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             assert node.end_lineno is not None
             assert node.end_lineno - node.lineno < 60, f"{node.name} is over 60 lines"
@@ -70,6 +71,85 @@ def test_sizes_and_habits(path: Path) -> None:
             assert getattr(node.exc.func, "id", "") not in ("Exception", "AssertionError")
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print":
             assert path.name == "__main__.py", "only the command line prints"
+        if isinstance(node, ast.ImportFrom) and node.level:
+            private = [a.name for a in node.names if a.name.startswith("_")]
+            assert not private, f"{path}: {private} belong to another module"
+
+
+def test_four_files_stand_at_the_root() -> None:
+    files = {path.name for path in PACKAGE.glob("*.py")}
+    assert files == {"__init__.py", "__main__.py", "pipeline.py", "version.py"}
+
+
+def test_every_room_has_a_floor() -> None:
+    assert {unit_of(path) for path in FILES} == set(FLOOR)
+
+
+def test_no_two_files_and_no_two_classes_of_one_name() -> None:
+    stems = Counter(path.stem for path in FILES if path.stem != "__init__")
+    classes = Counter(
+        node.name
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ClassDef)
+    )
+    for counts in (stems, classes):
+        assert not [name for name, count in counts.items() if count > 1]
+
+
+def test_no_name_hides_a_package() -> None:
+    for name in rbsd_sym.__all__:
+        if (PACKAGE / name).is_dir():
+            assert isinstance(getattr(rbsd_sym, name), types.ModuleType), name
+
+
+TAKES_APART = "split rsplit partition rpartition startswith endswith removeprefix removesuffix"
+# Texts that are not names of states, outputs, inputs or parameters.
+OTHER_TEXTS = {
+    "__main__.py": "arguments of the command line, names of modules",
+    "exports/dop853_text.py": "text of C",
+    "exports/header.py": "text of C",
+    "exports/load.py": "the command of a compiler",
+    "exports/simulator_casadi.py": "text of C",
+    "exports/simulator_texts.py": "text of C",
+    "study/log.py": "lines of a file",
+    "study/table.py": "white space in a cell",
+    "study/workers.py": "white space in a message",
+}
+
+
+def test_names_are_taken_apart_in_one_place() -> None:
+    """Below the waist meaning comes from structure; what a user typed is read in base/names.py."""
+    found = set()
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+                continue
+            texts = [a for a in node.args if isinstance(getattr(a, "value", None), (str, bytes))]
+            cuts = node.func.attr in TAKES_APART.split()
+            whole = isinstance(node.func.value, ast.Name) and node.func.value.id in ("np", "ca")
+            if cuts and not whole and (texts or not node.args or node.func.attr != "split"):
+                found.add(str(path.relative_to(PACKAGE)))
+    assert found - {"base/names.py"} == set(OTHER_TEXTS)
+
+
+# Files that do what one place should do; the numbers may fall, and not rise.
+SITES = {
+    "ca.integrator(": 7,
+    "ca.CodeGenerator(": 6,
+    "contextlib.redirect_std": 4,
+    "subprocess.": 1,
+}
+
+
+@pytest.mark.parametrize("text", SITES)
+def test_sites_do_not_multiply(text: str) -> None:
+    files = [str(path) for path in FILES if text in path.read_text()]
+    assert len(files) <= SITES[text], files
+
+
+def test_formatting_by_hand_is_for_matrices() -> None:
+    assert sum(path.read_text().count("fmt: " + "skip") for path in FILES) <= 2
 
 
 def test_public_names_have_docstrings() -> None:

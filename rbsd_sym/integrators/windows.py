@@ -33,6 +33,7 @@ _STEPS, _BEGIN = 4, 100  # of IDAS from look to look, at most, beside those afte
 _LONGEST = 64  # output intervals in one stretch
 _SLIVER = 1e-3  # of a look, which is not looked at
 _UNIFORM = 1e-9  # relative differences of output intervals that count as equal
+_LAST = ("qlast", "hlast")  # statistics of SUNDIALS that are not counts
 _TIGHTER = 1e-2  # tolerances for the way to an event, relative to those of the run
 
 Options = Callable[[Instant, float], Mapping[str, Any]]
@@ -61,7 +62,7 @@ class Stretches:
         result = call_integrator(function, part)
         for key, value in result.stats.items():
             if isinstance(value, (int, float)):  # the last order and step are no sums
-                before = 0.0 if key.endswith("last") else self.counts.get(key, 0.0)
+                before = 0.0 if key in _LAST else self.counts.get(key, 0.0)
                 self.counts[key] = before + value
         raise_of_user(self.kept)
         return result

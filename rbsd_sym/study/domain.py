@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..dae.members import RotationKind
 from ..laws import Standard
 from ..model.model import Model
 from ..model.trajectory import Trajectory
@@ -65,19 +66,20 @@ def _limits(model: Model, trajectory: Trajectory) -> list[_Limit]:
     for connector in model.scene.connectors:
         if connector.acts:
             where = f"connector '{connector.name}', {type(connector.law).__name__}"
-            rotation = trajectory[f"{connector.name}.rotation"]
+            angles = trajectory[f"{connector.name}.rotation"]
             tell = _of_angles if isinstance(connector.law, Standard) else _of_vector
-            found += tell(where, rotation)
-    kept = {label.name for label in model.x_labels}
-    for body in model.scene.bodies:
-        if f"{body.name}.a_y" in kept:
-            a = np.column_stack([trajectory[f"{body.name}.a_{axis}"] for axis in "xyz"])
+            found += tell(where, angles)
+    way = model.dae.expansion
+    labels = way.labels if way else model.x_labels
+    for rotation in model.dae.rotations:
+        kept = way is None or way.rows[rotation.coordinates[1]] is not None
+        if rotation.kind is RotationKind.tait_bryan and kept:
+            a = np.column_stack([trajectory[labels[row].name] for row in rotation.coordinates])
             turn = np.abs(np.diff(a[:, [0, 2]], axis=0))
             size = np.pi / 2 - np.abs(np.abs(a[:, 1]) - np.pi / 2)
             jumped = (turn > np.pi / 2).all(axis=1) | (np.diff(np.abs(a[:, 1]) > np.pi / 2) != 0)
-            found.append(
-                _Limit(f"body '{body.name}', TaitBryan", "pitch", size, np.pi / 2, jumped, _BODY)
-            )
+            where = f"body '{rotation.owner}', TaitBryan"
+            found.append(_Limit(where, "pitch", size, np.pi / 2, jumped, _BODY))
     return found
 
 
