@@ -1,4 +1,4 @@
-"""Every Python block of the README runs, its C block compiles, and every file in models/ runs."""
+"""Every block of the README and of the guide runs, and so does every file in models/."""
 
 from __future__ import annotations
 
@@ -17,19 +17,38 @@ import rbsd_sym as rs
 from rbsd_sym import __main__ as command_line
 from rbsd_sym.analysis.linearize import Linear
 
-README = (ROOT / "README.md").read_text()
+README = ROOT / "README.md"
+GUIDE = ROOT / "models" / "README.md"
 MODELS = sorted((ROOT / "models").glob("*.py"))
 
 
-def blocks(language: str) -> list[str]:
-    """Code blocks of the README in a language."""
-    return re.findall(rf"```{language}\n(.*?)```", README, re.S)
+def blocks(file: Path, language: str) -> list[str]:
+    """Code blocks of a page in a language."""
+    return re.findall(rf"```{language}\n(.*?)```", file.read_text(encoding="utf-8"), re.S)
+
+
+def test_pages_keep_their_sizes() -> None:
+    assert README.stat().st_size <= 10_000
+    assert (ROOT / "rbsd_sym" / "README.md").stat().st_size <= 5_000
+    for room in ("ocp", "integrators", "exports", "minimal"):
+        page = ROOT / "rbsd_sym" / room / "README.md"
+        assert page.read_text(encoding="utf-8").count("\n") <= 60, page
+
+
+def test_links_of_the_pages_lead_somewhere() -> None:
+    pages = [README, GUIDE, *(ROOT / "rbsd_sym").rglob("README.md"), ROOT / "tests" / "README.md",
+             ROOT / "generated" / "charts" / "README.md",
+             ROOT / "generated" / "gallery" / "README.md"]  # fmt: skip
+    for page in pages:
+        for link in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page}: {link}"
 
 
 def test_python_and_c_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {}
-    scene, compiled, script, *_ = blocks("python")
+    scene, compiled, _ = blocks(README, "python")
+    (script,) = (b for b in blocks(GUIDE, "python") if "__main__" in b)
     exec(compile(scene, "README.md", "exec"), namespace)
     trajectory = namespace["trajectory"]
     assert isinstance(trajectory, rs.Trajectory)
@@ -43,7 +62,7 @@ def test_python_and_c_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
                            check=True, env=environment).stdout  # fmt: skip
     assert table.count("\n") == 4, table
     assert "Error" not in table
-    include, body = blocks("c")[0].split("\n", 1)
+    include, body = blocks(README, "c")[0].split("\n", 1)
     program = (
         f"#include <stdio.h>\n{include}\nint main(void) {{\n{body}\n"
         '  printf("%.17g", rates[SWING_X_ARM_V_Y]);\n  return 0;\n}\n'
@@ -65,7 +84,7 @@ def test_python_and_c_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_block_with_events(capsys: pytest.CaptureFixture[str]) -> None:
     namespace: dict[str, object] = {}
-    exec(compile(blocks("python")[3], "README.md", "exec"), namespace)
+    exec(compile(blocks(GUIDE, "python")[0], "guide", "exec"), namespace)
     *events, last = capsys.readouterr().out.splitlines()
     assert events[0].endswith("s floor.friction_x_moves")
     assert events[1].endswith("s floor.contact_z_closes")
@@ -76,8 +95,8 @@ def test_block_with_events(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_block_about_stability(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    own = (b for b in blocks("python") if "ocp" not in b)
-    scene, *_, linear = (b for b in own if "Scene(" not in b or "swing" in b)
+    scene, *_ = blocks(README, "python")
+    *_, linear = blocks(GUIDE, "python")
     namespace: dict[str, object] = {}
     exec(compile(scene.split("jacobian =")[0] + linear, "README.md", "exec"), namespace)
     found, gradient = namespace["linear"], namespace["gradient"]
@@ -96,7 +115,7 @@ def test_block_about_stability(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_block_about_optimal_control(capsys: pytest.CaptureFixture[str]) -> None:
     namespace: dict[str, object] = {}
-    (block,) = (b for b in blocks("python") if "ocp" in b)
+    (block,) = (b for b in blocks(README, "python") if "ocp" in b)
     exec(compile(block, "README.md", "exec"), namespace)
     found = namespace["solution"]
     assert isinstance(found, rs.ocp.Solution)
@@ -136,15 +155,14 @@ def test_pair_makes_the_energy_its_law_makes(law: object, ratio: float, within: 
     assert energy[-1] / energy[0] == pytest.approx(ratio, abs=within)
 
 
-def test_models_cover_what_the_readme_says() -> None:
+def test_models_cover_what_the_guide_says() -> None:
     assert {path.stem for path in MODELS} == {
         "arm", "chain", "crane", "engine_mounts", "flexible_slew", "governor", "kapitza", "mini",
         "mount_design", "pair", "post_newton_contact", "receding_horizon", "reorientation",
         "stick_slip", "user_force",
     }  # fmt: skip
-    unnamed = [path.stem for path in MODELS if f"`{path.stem}`" not in README
-               and f"models/{path.stem}.py" not in README]  # fmt: skip
-    assert not unnamed
+    text = GUIDE.read_text(encoding="utf-8")
+    assert not [path.stem for path in MODELS if f"`{path.stem}`" not in text]
 
 
 def test_command_line_errors_are_one_line(
