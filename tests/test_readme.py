@@ -11,14 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paths import ROOT
+from paths import CHARTS, MODELS, ROOT, TESTS
 
 import rbsd_sym as rs
 from rbsd_sym import __main__ as command_line
 from rbsd_sym.analysis.linearize import Linear
 
 README = (ROOT / "README.md").read_text()
-MODELS = sorted((ROOT / "models").glob("*.py"))
+FILES = sorted(MODELS.glob("*.py"))
+PAGES = [ROOT / "README.md", ROOT / "rbsd_sym" / "README.md", TESTS / "README.md",
+         *sorted(CHARTS.rglob("*.md"))]  # fmt: skip
 
 
 def blocks(language: str) -> list[str]:
@@ -108,7 +110,7 @@ def test_block_about_optimal_control(capsys: pytest.CaptureFixture[str]) -> None
     assert "flown by IDAS" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("path", MODELS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
 def test_models_run_and_export(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,20 +133,29 @@ def test_models_run_and_export(
 )
 def test_pair_makes_the_energy_its_law_makes(law: object, ratio: float, within: float) -> None:
     """E/E0 after 1 s, from converged runs, rounded as printed."""
-    scene = command_line.load_model_file(ROOT / "models" / "pair.py").scene(law)
+    scene = command_line.load_model_file(MODELS / "pair.py").scene(law)
     energy = rs.simulate(rs.compile_scene(scene), 1.0)["energy"]
     assert energy[-1] / energy[0] == pytest.approx(ratio, abs=within)
 
 
 def test_models_cover_what_the_readme_says() -> None:
-    assert {path.stem for path in MODELS} == {
+    assert {path.stem for path in FILES} == {
         "arm", "chain", "crane", "engine_mounts", "flexible_slew", "governor", "kapitza", "mini",
         "mount_design", "pair", "post_newton_contact", "receding_horizon", "reorientation",
         "stick_slip", "user_force",
     }  # fmt: skip
-    unnamed = [path.stem for path in MODELS if f"`{path.stem}`" not in README
+    unnamed = [path.stem for path in FILES if f"`{path.stem}`" not in README
                and f"models/{path.stem}.py" not in README]  # fmt: skip
     assert not unnamed
+
+
+def test_scripts_and_tests_that_pages_name_are_there() -> None:
+    named = {
+        (page.relative_to(ROOT), path) for page in PAGES
+        for path in re.findall(r"\btests/[\w/]*\.py", page.read_text(encoding="utf-8"))
+    }  # fmt: skip
+    assert len({path for _, path in named}) > 25
+    assert not [(page, path) for page, path in named if not (ROOT / path).is_file()]
 
 
 def test_command_line_errors_are_one_line(
@@ -156,7 +167,7 @@ def test_command_line_errors_are_one_line(
     empty.write_text("x = 1\n")
     assert command_line.main(["run", str(empty)]) == 1
     assert "scene()" in capsys.readouterr().err
-    mini = str(ROOT / "models" / "mini.py")
+    mini = str(MODELS / "mini.py")
     assert command_line.main(["run", mini, "--t-end", "-1"]) == 1
     assert "positive" in capsys.readouterr().err
     assert command_line.main(["run", mini, "--set", "k"]) == 1
