@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from paths import ROOT, TESTS
 
 import rbsd_sym
 
@@ -166,11 +166,30 @@ def test_top_level_is_what_was_asked_for() -> None:
 
 
 def test_oracles_are_independent() -> None:
-    for path in (ROOT / "tests" / "oracles").glob("*.py"):
+    for path in (TESTS / "oracles").glob("*.py"):
         text = path.read_text()
         assert "import casadi" not in text, path
         assert "import rbsd_sym" not in text, path
         assert "from rbsd_sym" not in text, path
+
+
+def test_tests_have_the_folders_of_the_package_and_those_their_readme_names() -> None:
+    rooms, folders = (
+        {path.name for path in parent.iterdir() if path.is_dir() and path.name[0] not in "._"}
+        for parent in (PACKAGE, TESTS)
+    )
+    readme = (TESTS / "README.md").read_text(encoding="utf-8")
+    assert not [name for name in folders - rooms if f"`{name}/`" not in readme]
+    stems = [path.stem for path in TESTS.rglob("test_*.py")]
+    assert len(set(stems)) == len(stems), "pytest knows test modules by their names"
+
+
+def test_no_test_module_imports_another() -> None:
+    for path in TESTS.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [name for name in names if "test_" in name], path
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from paths import MODELS
 from scenes import reference
 from scenes.small import chain
 
@@ -83,7 +83,7 @@ def test_sizes_of_minimal_models() -> None:
         "planar pendulum": chain(1, rs.Standard()),
         "planar chain of 20": chain(20, rs.Standard()),
         "the same, one marker off the plane": chain(20, rs.Standard(), 0.1),
-        "`engine_mounts`": load_model_file(ROOT / "models" / "engine_mounts.py").scene(),
+        "`engine_mounts`": load_model_file(MODELS / "engine_mounts.py").scene(),
     }
     print()
     for name, scene in scenes.items():

@@ -11,15 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paths import ROOT
+from paths import CHARTS, MODELS, ROOT, TESTS
 
 import rbsd_sym as rs
 from rbsd_sym import __main__ as command_line
 from rbsd_sym.analysis.linearize import Linear
 
-README = ROOT / "README.md"
-GUIDE = ROOT / "models" / "README.md"
-MODELS = sorted((ROOT / "models").glob("*.py"))
+README, GUIDE = ROOT / "README.md", MODELS / "README.md"
+FILES = sorted(MODELS.glob("*.py"))
+PAGES = [README, GUIDE, *sorted((ROOT / "rbsd_sym").rglob("README.md")), TESTS / "README.md",
+         *sorted(CHARTS.rglob("*.md"))]  # fmt: skip
 
 
 def blocks(file: Path, language: str) -> list[str]:
@@ -36,10 +37,7 @@ def test_pages_keep_their_sizes() -> None:
 
 
 def test_links_of_the_pages_lead_somewhere() -> None:
-    pages = [README, GUIDE, *(ROOT / "rbsd_sym").rglob("README.md"), ROOT / "tests" / "README.md",
-             ROOT / "generated" / "charts" / "README.md",
-             ROOT / "generated" / "gallery" / "README.md"]  # fmt: skip
-    for page in pages:
+    for page in [*PAGES, ROOT / "generated" / "gallery" / "README.md"]:
         for link in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
             assert (page.parent / link).exists(), f"{page}: {link}"
 
@@ -127,7 +125,7 @@ def test_block_about_optimal_control(capsys: pytest.CaptureFixture[str]) -> None
     assert "flown by IDAS" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("path", MODELS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
 def test_models_run_and_export(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,19 +148,28 @@ def test_models_run_and_export(
 )
 def test_pair_makes_the_energy_its_law_makes(law: object, ratio: float, within: float) -> None:
     """E/E0 after 1 s, from converged runs, rounded as printed."""
-    scene = command_line.load_model_file(ROOT / "models" / "pair.py").scene(law)
+    scene = command_line.load_model_file(MODELS / "pair.py").scene(law)
     energy = rs.simulate(rs.compile_scene(scene), 1.0)["energy"]
     assert energy[-1] / energy[0] == pytest.approx(ratio, abs=within)
 
 
 def test_models_cover_what_the_guide_says() -> None:
-    assert {path.stem for path in MODELS} == {
+    assert {path.stem for path in FILES} == {
         "arm", "chain", "crane", "engine_mounts", "flexible_slew", "governor", "kapitza", "mini",
         "mount_design", "pair", "post_newton_contact", "receding_horizon", "reorientation",
         "stick_slip", "user_force",
     }  # fmt: skip
     text = GUIDE.read_text(encoding="utf-8")
-    assert not [path.stem for path in MODELS if f"`{path.stem}`" not in text]
+    assert not [path.stem for path in FILES if f"`{path.stem}`" not in text]
+
+
+def test_scripts_and_tests_that_pages_name_are_there() -> None:
+    named = {
+        (page.relative_to(ROOT), path) for page in PAGES
+        for path in re.findall(r"\btests/[\w/]*\.py", page.read_text(encoding="utf-8"))
+    }  # fmt: skip
+    assert len({path for _, path in named}) > 25
+    assert not [(page, path) for page, path in named if not (ROOT / path).is_file()]
 
 
 def test_command_line_errors_are_one_line(
@@ -174,7 +181,7 @@ def test_command_line_errors_are_one_line(
     empty.write_text("x = 1\n")
     assert command_line.main(["run", str(empty)]) == 1
     assert "scene()" in capsys.readouterr().err
-    mini = str(ROOT / "models" / "mini.py")
+    mini = str(MODELS / "mini.py")
     assert command_line.main(["run", mini, "--t-end", "-1"]) == 1
     assert "positive" in capsys.readouterr().err
     assert command_line.main(["run", mini, "--set", "k"]) == 1

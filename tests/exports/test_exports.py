@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from helpers.compilers import C99, COMPILERS, files_of
 from oracles import closed_forms
-from paths import ROOT
+from paths import MODELS, ROOT
 from scenes import reference
 
 import rbsd_sym as rs
@@ -28,7 +28,7 @@ needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 @pytest.fixture(scope="module")
 def engine() -> rs.Model:
     """A model with an input, a parameter, loads and rotated joint frames."""
-    return rs.compile_scene(load_model_file(ROOT / "models" / "engine_mounts.py").scene())
+    return rs.compile_scene(load_model_file(MODELS / "engine_mounts.py").scene())
 
 
 def random_arguments(model: rs.Model, seed: int) -> list[np.ndarray]:
@@ -91,7 +91,7 @@ int main(void) {
 @pytest.mark.parametrize("minimal", [True, False])
 def test_mini_integrated_in_c_meets_the_closed_form(minimal: bool, tmp_path: Path) -> None:
     """Classical Runge-Kutta in C with h w = 2e-3, which leaves (h w)^4 / 120 w t = 4e-12."""
-    scene = load_model_file(ROOT / "models" / "mini.py").scene()
+    scene = load_model_file(MODELS / "mini.py").scene()
     rs.export_c(rs.compile_scene(scene, minimal=minimal), tmp_path)
     (tmp_path / "main.c").write_text(_RUNGE_KUTTA)
     build = [COMPILERS[0], *C99, "main.c", "mini.c", "-lm", "-o", "main"]
@@ -207,7 +207,7 @@ def test_sparse_outputs_and_jacobians_of_outputs(tmp_path: Path) -> None:
 def test_specimens_are_what_is_generated(
     name: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    model = rs.compile_scene(load_model_file(ROOT / "models" / f"{name}.py").scene())
+    model = rs.compile_scene(load_model_file(MODELS / f"{name}.py").scene())
     stored = ROOT / "generated" / name
     if request.config.getoption("--update-golden"):
         rs.export_c(model, stored)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from charts import minimal_table
 from helpers.comparing import traffic
-from paths import ROOT
+from paths import MODELS
 from scenes import reference
 from scenes.small import GROUND, chain, one_body
 
@@ -278,7 +278,7 @@ def test_minimal_equals_full_by_idas(name: str) -> None:
 
 def table_scenes() -> dict[str, tuple[rs.Scene, float]]:
     """Scenes of the table, and the seconds to integrate; inputs keep their default."""
-    mounts = load_model_file(ROOT / "models" / "engine_mounts.py").scene()
+    mounts = load_model_file(MODELS / "engine_mounts.py").scene()
     sideways = replace(reference.build("chain16"), gravity=(0, -9.6, 0))
     spinner = one_body({"stiffness": [0] * 6}, {"angular_velocity": (0, 0, 7.0)})
     return {
