@@ -14,11 +14,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rbsd_sym import ExplicitRK, compile_scene, simulate
+from rbsd_sym import (
+    ExplicitRK,
+    Marker,
+    RigidBody,
+    RigidBodySpringDamper,
+    Scene,
+    compile_scene,
+    simulate,
+)
 from rbsd_sym.study import Table
 
 from .law_scenes import LAW_COLOURS, LAWS, legend_below, panels
-from .pages import model_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +36,26 @@ NUMBER = 1
 TOLERANCES = (1e-8, 1e-10)
 _PER_DECADE = 30
 _APART = 0.01  # relative difference of energy, from which on a run is one of many
-pair = model_file("pair").scene
+_INERTIA = (1 / 12, 20 * 1.04 / 12, 20 * 1.01 / 12)  # 20 kg, 1 x 0.1 x 0.2 m
+_SPIN = np.array([8.5, 10.5, 16.0])
+
+
+def pair(law: Any) -> Scene:
+    """The two bricks, side by side.
+
+    They are those of `models/pair.py` but for rounding in one moment of inertia, on which the
+    numbers of this page depend where the motion is chaotic.
+    """
+    left = RigidBody("left", 20, _INERTIA, position=(0, 1, 0), angular_velocity=_SPIN)
+    right = RigidBody("right", 20, _INERTIA, position=(1, 1, 0), angular_velocity=-_SPIN)
+    spring = RigidBodySpringDamper(
+        "spring",
+        Marker("left", (0.5, 0, 0)),
+        Marker("right", (-0.5, 0, 0)),
+        (4000, 5000, 7000, 250, 500, 325),
+        law=law,
+    )
+    return Scene("pair", [left, right], [spring])
 
 
 def study(full: bool) -> Tables:

@@ -33,6 +33,7 @@ def largest(values: Any) -> float:
 
 
 def close(a: Any, b: Any, tolerance: float = 1e-12) -> None:
+    """Assert that matrices agree, relative to the largest entry, or absolutely if that is small."""
     a, b = (np.array(ca.densify(ca.DM(v))) for v in (a, b))
     assert a.shape == b.shape
     assert np.abs(a - b).max(initial=0.0) <= tolerance * (1 + np.abs(a).max(initial=0.0))
@@ -53,7 +54,7 @@ def traffic(trajectory: rs.Trajectory, connector: str) -> float:
 
 
 def compare(scene: rs.Scene, t_end: float = 0.5) -> float:
-    """Largest difference of outputs between minimal and full, relative to their size."""
+    """Largest difference of minimal and full, relative to the size of a quantity, at least 1."""
     times = np.linspace(0, t_end, 6)
     integrator = rs.ExplicitRK(1e-11, 1e-13)
     models = [rs.compile_scene(scene, minimal=minimal) for minimal in (True, False)]

@@ -12,7 +12,7 @@ import rbsd_sym as rs
 
 Array = NDArray[np.float64]
 M, K, D = 2.0, 40.0, 0.8  # kg, N/m, N s/m
-CLOSE = 1e-8  # m, for motions of 0.1 m at TIGHT; each integrator is within 3e-9
+CLOSE = 1e-8  # m, for motions of 0.1 m at rtol 1e-10; each integrator is within 3e-9
 GRID = np.linspace(0.0, 2.0, 41)
 KNOTS, FORCES = np.array([0.1, 0.3, 0.5, 1.2, 1.7]), np.array([1.0, 3.0, -2.0, 5.0, 1.0])
 

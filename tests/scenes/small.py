@@ -1,4 +1,4 @@
-"""Small scenes for many tests: one body, a chain, a star, an oscillator, a body without mass."""
+"""Small scenes for many tests: one body, a chain, a star, a column, a body without mass."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 LAWS = {"standard": rs.Standard(), "intrinsic": rs.Intrinsic(), "consistent": rs.Consistent()}
 GROUND, BODY = rs.Marker(rs.GROUND), rs.Marker("b")
 EYE = np.eye(3)
+
+
 def one_body(
     connector: dict[str, Any] | None = None, body: dict[str, Any] | None = None, **scene: Any
 ) -> rs.Scene:
