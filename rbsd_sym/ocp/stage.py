@@ -1,10 +1,11 @@
-"""A problem on its symbols: what every transcription is made from."""
+"""A problem on the symbols of its model: what every transcription is made from."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum, auto
 from functools import cached_property
 from typing import Any
 
@@ -12,30 +13,62 @@ import casadi as ca
 import numpy as np
 
 from ..base.symbols import is_number
-from ..dae.members import Label
+from ..dae.members import Label, Rotation, RotationKind
 from ..formulations import ModelWarning, Quaternion, TaitBryan
 from ..model.model import Model
 from ..model.signals import symbolic
 from ..pipeline import compile_scene
 from ..scene.scene import Scene
-from .names import LeftOut
 from .problem import Free, Problem
-from .terms import Terms, traced
+from .terms import LeftOut, Terms, traced
+
+
+class Role(Enum):
+    """What a constant of a problem is."""
+
+    horizon = auto()
+    parameter = auto()
+    start = auto()
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A number to be found that does not change in time; every block carries it along.
+
+    Fields:
+        index: of the phase (horizon), of the parameter in `Dae.parameters`, or of the state.
+        label: for people; `start` is where the search begins.
+        low, high: bounds.
+    """
+
+    role: Role
+    index: int
+    label: Label
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class Turn:
+    """A quaternion among the states: the rotation, and its rows (4) in x."""
+
+    rotation: Rotation
+    rows: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
     """A problem on the symbols of its model.
 
-    Constants s, which every stage of the transcription carries along, are the free horizons, the
-    free Params, and of a periodic problem the states at the start.
-
     Fields:
-        controls: indices of the Inputs that are to be found.
-        s_labels, s_low, s_high: constants; `start` of a label is its guess.
+        terms: costs and conditions of each phase.
+        controls: indices of the Inputs that are to be found, v.
+        constants: s, the free horizons, the free Params, and of a periodic problem the states at
+            the start, in this order.
         cyclic: rows of the states that return, apart from quaternions.
-        cyclic_turns: rows (4) of each quaternion that returns.
-        carries: whether stages hand on the Inputs at their end, since a condition there feels them.
+        cyclic_turns: the quaternions that return.
+        carries: whether blocks hand on the Inputs at their end, since a condition there depends on
+            them.
         notes: what the user should know.
     """
 
@@ -43,12 +76,10 @@ class Frame:
     model: Model
     terms: tuple[Terms, ...]
     controls: tuple[int, ...]
-    s_labels: tuple[Label, ...]
-    s_low: np.ndarray
-    s_high: np.ndarray
+    constants: tuple[Constant, ...]
     cyclic: tuple[int, ...]
-    cyclic_turns: tuple[tuple[int, ...], ...]
-    carries: bool
+    cyclic_turns: tuple[Turn, ...]
+    carries: bool = False
     notes: tuple[str, ...] = ()
 
     @property
@@ -59,7 +90,7 @@ class Frame:
     @property
     def n_s(self) -> int:
         """Number of constants."""
-        return len(self.s_labels)
+        return len(self.constants)
 
     @property
     def n_v(self) -> int:
@@ -73,29 +104,41 @@ class Frame:
 
     @property
     def n_y(self) -> int:
-        """Size of what stages hand on: states, constants, Inputs."""
+        """Size of what blocks hand on: states, constants, Inputs."""
         return self.model.n_x + self.n_s + self.n_m
 
+    @property
+    def v_labels(self) -> tuple[Label, ...]:
+        """Labels of the Inputs that are to be found."""
+        return tuple(self.model.dae.u_labels[k] for k in self.controls)
+
+    @cached_property
+    def s_start(self) -> np.ndarray:
+        """Constants where the search begins (n_s,)."""
+        return np.array([c.label.start for c in self.constants], float)
+
+    @cached_property
+    def turns(self) -> list[Turn]:
+        """The quaternions among the states."""
+        return quaternions(self.model)
+
     def split(self, y: Any) -> tuple[Any, Any, Any]:
-        """States, constants and Inputs of what stages hand on."""
+        """States, constants and Inputs of what blocks hand on."""
         a, b, c = self.model.n_x, self.model.n_x + self.n_s, self.n_y
-        none = type(y)(0, 1)  # what a slice of a 1 x 1 matrix would not be
+        none = type(y)(0, 1)  # an empty slice of a 1 x 1 matrix would not have this shape
         return y[:a], y[a:b] if b > a else none, y[b:c] if c > b else none
 
     @cached_property
-    def _horizons(self) -> list[int | None]:
-        """Place of each phase's horizon among the constants."""
-        places: list[int | None] = []
-        for phase in self.problem.stretches:
-            free = isinstance(phase.horizon, Free)
-            places.append(sum(p is not None for p in places) if free else None)
-        return places
+    def _places(self) -> dict[tuple[Role, int], int]:
+        """Place of each constant in s, by role and index."""
+        return {(c.role, c.index): k for k, c in enumerate(self.constants)}
 
     def durations(self, s: Any) -> list[Any]:
         """Length of each phase in s."""
+        places = [self._places.get((Role.horizon, i)) for i in range(self.n_phases)]
         return [
             phase.horizon if place is None else s[place]
-            for phase, place in zip(self.problem.stretches, self._horizons, strict=True)
+            for phase, place in zip(self.problem.sequence, places, strict=True)
         ]
 
     def span(self, i: int, s: Any) -> tuple[Any, Any]:
@@ -103,17 +146,13 @@ class Frame:
         lengths = self.durations(s)
         return sum(lengths[:i]), lengths[i]
 
-    def parameters(self, s: Any) -> Any:
+    def parameters(self, s: Any) -> list[Any]:
         """All parameters, those without effect on the motion last."""
-        dae, given = self.model.dae, self.problem.params
-        place, found = sum(p is not None for p in self._horizons), []
-        for label in dae.parameters.labels:
-            value = given.get(label.name, label.start)
-            if isinstance(value, Free):
-                found.append(s[place])
-                place += 1
-            else:
-                found.append(float(value))
+        given, found = self.problem.params, []
+        for k, label in enumerate(self.model.dae.parameters.labels):
+            place = self._places.get((Role.parameter, k))
+            own = float(given.get(label.name, label.start)) if place is None else s[place]
+            found.append(own)
         return found
 
     def start_copy(self, s: Any) -> Any:
@@ -140,21 +179,24 @@ class Frame:
     def symbols(self) -> list[ca.SX]:
         """[t, x, z, u, all parameters] of the model, over which terms are written."""
         dae = self.model.dae
-        return [dae.t, dae.x, dae.z, dae.u, ca.vertcat(dae.p, dae.idle_p)]
+        return [dae.t, dae.x, dae.z, dae.u, dae.parameters.symbols]
+
+    def arguments(self, kind: Any) -> list[Any]:
+        """New symbols t, x, z, v, s, SX or MX, over which transcriptions are written."""
+        sizes = {"t": 1, "x": self.model.n_x, "z": self.model.n_z, "v": self.n_v, "s": self.n_s}
+        return [kind.sym(key, size) for key, size in sizes.items()]
 
     def over(self, name: str, *expressions: ca.SX) -> ca.Function:
         """Function (t, x, z, v, s) of expressions over `symbols`, flat."""
+        # Called with numbers for the Inputs and Params that are given, the function comes back
+        # with them folded in.
         kernel = ca.Function(name, self.symbols, [ca.densify(e) for e in expressions])
-        t, x, z, v, s = arguments = self._arguments(ca.SX)
+        t, x, z, v, s = arguments = self.arguments(ca.SX)
         none = ca.SX(0, 1)
         u, p = ca.vertcat(none, *self.inputs(t, v)), ca.vertcat(none, *self.parameters(s))
         full = [t, x, z, u, p]
         results = kernel.call([ca.SX(a) for a in full])
         return ca.Function(name, arguments, [ca.cse(r) for r in results])
-
-    def _arguments(self, kind: Any) -> list[Any]:
-        sizes = {"t": 1, "x": self.model.n_x, "z": self.model.n_z, "v": self.n_v, "s": self.n_s}
-        return [kind.sym(key, size) for key, size in sizes.items()]
 
     def point(self, i: int) -> ca.Function:
         """Function (t, x, z, v, s) -> rates, alg, cost per second, path rows of a phase."""
@@ -163,14 +205,14 @@ class Frame:
         if not self.model.kernels:
             return self.over("point", dae.ode, dae.alg, *own)
         rest = self.over("rest", *own)
-        arguments = self._arguments(ca.MX)
+        arguments = self.arguments(ca.MX)
         return ca.Function("point", arguments, [*self._called(*arguments), *rest(*arguments)])
 
     def rates(self) -> ca.Function:
         """Function (t, x, z, v, s) -> rates, alg."""
         if not self.model.kernels:
             return self.over("rates", self.model.dae.ode, self.model.dae.alg)
-        arguments = self._arguments(ca.MX)
+        arguments = self.arguments(ca.MX)
         return ca.Function("rates", arguments, self._called(*arguments))
 
     def _called(self, t: Any, x: Any, z: Any, v: Any, s: Any) -> list[Any]:
@@ -183,8 +225,8 @@ class Frame:
         """Function (t, x, z, v, s) of expressions and of alg, for the ends of phases."""
         return self.over("node", *expressions, self.model.dae.alg)
 
-    def feels(self, *expressions: ca.SX) -> tuple[bool, bool]:
-        """Whether expressions depend on z, and on the Inputs that are to be found."""
+    def depends(self, *expressions: ca.SX) -> tuple[bool, bool]:
+        """Whether expressions depend on z, and on the Inputs that are to be found, also by z."""
         dae, both = self.model.dae, ca.vertcat(ca.SX(0, 1), *expressions)
         z = bool(self.model.n_z) and ca.depends_on(both, dae.z)
         u = ca.vertcat(ca.SX(0, 1), *(dae.u[i] for i in self.controls))
@@ -204,14 +246,14 @@ def _signal(label: Label, value: Any, t: ca.SX) -> ca.SX:
     return ca.SX(expr)
 
 
-def framed(problem: Problem) -> Frame:
-    """A problem on its symbols, its model with all states where it needs one that was left out.
+def staged(problem: Problem) -> Stage:
+    """Put a problem on the symbols of its model, with all states where it needs one left out.
 
     Raises:
         ValueError, TypeError: what is wrong with the problem, and where.
     """
     model, notes = problem.model, []
-    still = _standing(problem)
+    still = _never_moving(problem)
     try:
         terms = traced(problem, model, still)
     except LeftOut as left:
@@ -226,24 +268,34 @@ def framed(problem: Problem) -> Frame:
         if isinstance(problem.inputs[label.name], Free)
     )
     cyclic, turns = _returning(problem, model)
-    labels, low, high = _constants(problem, model)
-    bare = Frame(problem, model, terms, controls, labels, low, high, cyclic, turns, False)
-    links = [ca.SX(0, 1) if t.link is None else t.link for t in terms]
-    carries = any(bare.feels(t.end.rows.expr, t.end_cost)[1] for t in terms)
-    carries |= bare.feels(*links)[1]
-    for t in terms:
-        if bare.feels(t.start.rows.expr)[1]:
-            raise ValueError(
-                "Problem, start: a condition that depends on an Input to be found, which may jump; "
-                "put it on the path"
-            )
-    return Frame(
-        problem, model, terms, controls, labels, low, high, cyclic, turns, carries, tuple(notes)
-    )
+    stage = Stage(problem, model, terms, controls, _constants(problem, model), cyclic, turns)
+    if any(stage.depends(t.start.rows.expr)[1] for t in terms):
+        raise ValueError(
+            "Problem, start: a condition that depends on an Input to be found, which may jump; "
+            "put it on the path"
+        )
+    # An Input is a variable of the interval that it acts on. A node behind it can only know its
+    # value if that is handed on like a state.
+    links = [t.link for t in terms if t.link is not None]
+    at_end = [*links, *(e for t in terms for e in (t.end.rows.expr, t.end_cost))]
+    return replace(stage, carries=stage.depends(*at_end)[1], notes=tuple(notes))
 
 
-def _standing(problem: Problem) -> dict[str, float]:
-    """States that provably stand still in this problem, with their values.
+def check_freedom(stage: Stage) -> None:
+    """Check that anything is to be found.
+
+    Raises:
+        ValueError: nothing is.
+    """
+    if not stage.controls and not stage.constants:
+        raise ValueError(
+            f"model '{stage.model.name}': nothing is to be found; make an Input, a Param or a "
+            "horizon Free"
+        )
+
+
+def _never_moving(problem: Problem) -> dict[str, float]:
+    """States that provably never move in this problem, with their values.
 
     Those that a minimal model leaves out, while all of them begin where the model does. With them
     redundant conditions are found, also for a model that keeps all states.
@@ -252,7 +304,7 @@ def _standing(problem: Problem) -> dict[str, float]:
     small = _small(model) if problem.starts_fixed else model
     never = len(small.reduction.inertial) if small.reduction else 0
     still = {d.name: d.value for d in small.dropped[:never]}
-    moved = {name for phase in problem.stretches for name in (*phase.start, *phase.link)}
+    moved = {name for phase in problem.sequence for name in (*phase.start, *phase.link)}
     return {} if moved & set(still) else still
 
 
@@ -264,7 +316,8 @@ def _small(model: Model) -> Model:
 
     def build() -> Model:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ModelWarning)  # of this scene they are out
+            # The user was warned of this scene when the full model was compiled.
+            warnings.simplefilter("ignore", ModelWarning)
             return compile_scene(scene, _coordinates(model))
 
     return model.cached("minimal", build)
@@ -272,9 +325,8 @@ def _small(model: Model) -> Model:
 
 def _coordinates(model: Model) -> Quaternion | TaitBryan:
     """The formulation that a model was written with."""
-    labels = model.dae.expansion.labels if model.dae.expansion else model.x_labels
-    turns = any(label.name.endswith(".q_w") for label in labels)
-    return Quaternion() if turns else TaitBryan()
+    kinds = {rotation.kind for rotation in model.dae.rotations}
+    return Quaternion() if RotationKind.quaternion in kinds else TaitBryan()
 
 
 def _whole(model: Model, name: str) -> Model:
@@ -286,56 +338,53 @@ def _whole(model: Model, name: str) -> Model:
     return compile_scene(model.scene, _coordinates(model), minimal=False)
 
 
-def _returning(
-    problem: Problem, model: Model
-) -> tuple[tuple[int, ...], tuple[tuple[int, ...], ...]]:
-    """Rows of the states that return, and quaternions."""
-    if not problem.periodic:
-        return (), ()
-    names = [label.name for label in model.x_labels]
-    if problem.periodic is True:
-        chosen = set(range(len(names)))
-    else:
-        wanted: Sequence[str] = problem.periodic  # type: ignore[assignment]
-        for name in wanted:
-            if name not in names:
-                raise ValueError(
-                    f"Problem, periodic: no state '{name}'; there are: {', '.join(names)}"
-                )
-        chosen = {names.index(name) for name in wanted}
-    turns = [rows for rows in quaternions(model) if set(rows) <= chosen]
-    for rows in turns:
-        chosen -= set(rows)
-    return tuple(sorted(chosen)), tuple(turns)
+def state_rows(model: Model, rows: Sequence[int]) -> tuple[int, ...] | None:
+    """Rows in x of states of the full scene, None if one of them is not a state of the model."""
+    way = model.dae.expansion
+    found = [way.rows[row] if way else row for row in rows]
+    places = tuple(row for row in found if row is not None)
+    return places if len(places) == len(found) else None
 
 
-def quaternions(model: Model) -> list[tuple[int, ...]]:
-    """Rows (4) of the quaternions among the states of a model."""
-    rows = {label.name: i for i, label in enumerate(model.x_labels)}
+def quaternions(model: Model) -> list[Turn]:
+    """The quaternions among the states of a model; one that became an angle is not."""
     found = []
-    for name in rows:
-        if name.endswith(".q_w"):
-            parts = [f"{name[:-1]}{axis}" for axis in "wxyz"]
-            if all(part in rows for part in parts):
-                found.append(tuple(rows[part] for part in parts))
+    for rotation in model.dae.rotations:
+        rows = state_rows(model, rotation.coordinates)
+        if rotation.kind is RotationKind.quaternion and rows:
+            found.append(Turn(rotation, rows))
     return found
 
 
-def _constants(problem: Problem, model: Model) -> tuple[tuple[Label, ...], np.ndarray, np.ndarray]:
-    free: list[tuple[str, str, Free, float | None]] = []
-    for i, phase in enumerate(problem.stretches):
-        if isinstance(phase.horizon, Free):
-            free.append((f"horizon of phase {i}", "s", phase.horizon, None))
-    for label in model.dae.parameters.labels:
+def _returning(problem: Problem, model: Model) -> tuple[tuple[int, ...], tuple[Turn, ...]]:
+    """Rows of the states that return, and quaternions."""
+    if not problem.periodic:
+        return (), ()
+    place = {label.name: i for i, label in enumerate(model.x_labels)}
+    wanted: Iterable[str] = place if isinstance(problem.periodic, bool) else problem.periodic
+    for name in wanted:
+        if name not in place:
+            raise ValueError(f"Problem, periodic: no state '{name}'; there are: {', '.join(place)}")
+    chosen = {place[name] for name in wanted}
+    turns = [turn for turn in quaternions(model) if set(turn.rows) <= chosen]
+    for turn in turns:
+        chosen -= set(turn.rows)
+    return tuple(sorted(chosen)), tuple(turns)
+
+
+def _constants(problem: Problem, model: Model) -> tuple[Constant, ...]:
+    found = []
+    for i, phase in enumerate(problem.sequence):
+        free = phase.horizon
+        if isinstance(free, Free):
+            label = Label("", f"horizon of phase {i}", unit="s", start=free.start())
+            found.append(Constant(Role.horizon, i, label, free.low, free.high))
+    for k, label in enumerate(model.dae.parameters.labels):
         value = problem.params.get(label.name)
         if isinstance(value, Free):
-            free.append((label.name, label.unit, value, label.start))
-    labels = [
-        Label("", name, "", unit, value.start(default)) for name, unit, value, default in free
-    ]
-    low, high = [value.low for _, _, value, _ in free], [value.high for _, _, value, _ in free]
-    if problem.periodic:
-        labels += [Label("", f"start of {v.name}", "", v.unit, v.start) for v in model.x_labels]
-        low += [-np.inf] * model.n_x
-        high += [np.inf] * model.n_x
-    return tuple(labels), np.array(low, float), np.array(high, float)
+            own = replace(label, start=value.start(label.start))
+            found.append(Constant(Role.parameter, k, own, value.low, value.high))
+    for k, v in enumerate(model.x_labels if problem.periodic else ()):
+        label = Label("", f"start of {v.name}", unit=v.unit, start=v.start)
+        found.append(Constant(Role.start, k, label, -np.inf, np.inf))
+    return tuple(found)

@@ -46,7 +46,8 @@ def ball() -> rs.Model:
 
 
 BAD: dict[str, tuple[Callable[[], Any], str]] = {
-    "unknown state": (lambda: solve(Phase(1.0, end={"cart.p_u": 1})), "no 'cart.p_u'; of 'cart'"),
+    "unknown state": (lambda: solve(Phase(1.0, end={"cart.p_u": 1})),
+                      "no 'cart.p_u'; there are: cart.p_x"),
     "unknown output": (lambda: solve(Phase(1.0, integral="cart.speed")), "no 'cart.speed'"),
     "unknown in a cost": (lambda: solve(Phase(1.0, integral=lambda v: v["x"])), "no 'x'; there"),
     "unknown input": (lambda: Problem(CART, Phase(), inputs={"pull": Free()}), "no input 'pull'"),
