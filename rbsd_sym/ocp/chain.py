@@ -11,8 +11,8 @@ import numpy as np
 from ..dae.members import Label
 from .conditions import End, at_end, at_start, groups, opened, path_box
 from .mesh import Interval
-from .nlp import BlockFunctions, Kind, Nlp, Row, Segment, Variable, Where
-from .stage import Stage
+from .nlp import BlockFunctions, Nlp, Row, RowKind, Segment, Variable, Where
+from .traced import TracedProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Chain:
         intervals, mesh: of each phase.
     """
 
-    stage: Stage
+    traced: TracedProblem
     intervals: tuple[Interval, ...]
     mesh: tuple[np.ndarray, ...]
     nlp: Nlp
@@ -50,7 +50,7 @@ class Chain:
 
 
 def chained(
-    stage: Stage,
+    traced: TracedProblem,
     intervals: Sequence[Interval],
     mesh: tuple[np.ndarray, ...],
     guess: Guess,
@@ -63,21 +63,21 @@ def chained(
             what they are missed by.
     """
     parts: list[Segment] = []
-    for i in range(stage.n_phases):
-        begin = at_start(stage, i)
+    for i in range(traced.n_phases):
+        begin = at_start(traced, i)
         if begin.rows:
-            parts.append(_node(stage, i, begin, guess, Where.start))
-        body = _body(stage, i, intervals[i], mesh[i], guess, None if begin.rows else begin.box)
-        end = at_end(stage, i)
-        node = _node(stage, i, opened(stage, i, end) if elastic else end, guess, Where.end)
+            parts.append(_node(traced, i, begin, guess, Where.start))
+        body = _body(traced, i, intervals[i], mesh[i], guess, None if begin.rows else begin.box)
+        end = at_end(traced, i)
+        node = _node(traced, i, opened(traced, i, end) if elastic else end, guess, Where.end)
         if elastic:
-            body, node = _loosened(body, _state_box(stage, i, intervals[i])), _loosened(node)
+            body, node = _loosened(body, _state_box(traced, i, intervals[i])), _loosened(node)
         parts += [body, node]
-    return Chain(stage, tuple(intervals), mesh, Nlp(tuple(parts)))
+    return Chain(traced, tuple(intervals), mesh, Nlp(tuple(parts)))
 
 
 def _body(
-    stage: Stage,
+    traced: TracedProblem,
     i: int,
     interval: Interval,
     mesh: np.ndarray,
@@ -90,28 +90,28 @@ def _body(
         begin: bounds of the states at its start, unless a node before it has them.
     """
     starts, lengths = mesh[:-1], np.diff(mesh)
-    y = _handed_on(stage, i, guess, starts)
+    y = _handed_on(traced, i, guess, starts)
     low, high, values = [y[0]], [y[1]], [y[2]]
-    variables = [Variable(label) for label in _y_labels(stage)]
-    boxes = {group: path_box(stage, i, group) for group in "xzu"}
+    variables = [Variable(label) for label in _y_labels(traced)]
+    boxes = {group: path_box(traced, i, group) for group in "xzu"}
     for group, tau in interval.variables:
         at, box = starts + tau * lengths, boxes[group]
         low.append(np.repeat(box[0][:, None], len(at), axis=1))
         high.append(np.repeat(box[1][:, None], len(at), axis=1))
         values.append({"x": guess.x, "z": guess.z, "u": guess.v}[group](i, at))
-        variables += [Variable(label, tau) for label in groups(stage)[group][0]]
+        variables += [Variable(label, tau) for label in groups(traced)[group][0]]
     lower, upper = np.vstack(low), np.vstack(high)
     if begin is not None:
-        lower[: stage.model.n_x, 0], upper[: stage.model.n_x, 0] = begin
-        _fix_unused(stage, i, lower, upper)
-    row_low, row_high, rows = _interval_rows(stage, i, interval)
+        lower[: traced.model.n_x, 0], upper[: traced.model.n_x, 0] = begin
+        _fix_unused(traced, i, lower, upper)
+    row_low, row_high, rows = _interval_rows(traced, i, interval)
     return Segment(
         Where.path,
         i,
         interval.functions,
         np.vstack([lengths, starts]),
-        stage.n_y,
-        stage.n_y,
+        traced.n_y,
+        traced.n_y,
         lower,
         upper,
         np.clip(np.vstack(values), lower, upper),
@@ -123,45 +123,45 @@ def _body(
     )
 
 
-def _y_labels(stage: Stage) -> tuple[Label, ...]:
-    constants = (c.label for c in stage.constants)
-    return (*stage.model.x_labels, *constants, *stage.v_labels[: stage.n_m])
+def _y_labels(traced: TracedProblem) -> tuple[Label, ...]:
+    constants = (c.label for c in traced.constants)
+    return (*traced.model.x_labels, *constants, *traced.v_labels[: traced.n_m])
 
 
-def _fix_unused(stage: Stage, i: int, low: np.ndarray, high: np.ndarray) -> None:
+def _fix_unused(traced: TracedProblem, i: int, low: np.ndarray, high: np.ndarray) -> None:
     """Fix the Inputs that the very first block would be handed, since no block is before it."""
-    if i == 0 and stage.n_m:
-        rows = slice(stage.n_y - stage.n_m, stage.n_y)
+    if i == 0 and traced.n_m:
+        rows = slice(traced.n_y - traced.n_m, traced.n_y)
         low[rows, 0] = high[rows, 0] = 0.0
 
 
 def _handed_on(
-    stage: Stage, i: int, guess: Guess, at: np.ndarray
+    traced: TracedProblem, i: int, guess: Guess, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Bounds and guess of y at fractions of a phase, (n_y, n) each."""
-    n, box = len(at), path_box(stage, i, "x")
-    free = np.full(stage.n_m, np.inf)
-    low = np.concatenate([box[0], [c.low for c in stage.constants], -free])
-    high = np.concatenate([box[1], [c.high for c in stage.constants], free])
+    n, box = len(at), path_box(traced, i, "x")
+    free = np.full(traced.n_m, np.inf)
+    low = np.concatenate([box[0], [c.low for c in traced.constants], -free])
+    high = np.concatenate([box[1], [c.high for c in traced.constants], free])
     values = np.vstack(
-        [guess.x(i, at), np.repeat(guess.s[:, None], n, axis=1), guess.v(i, at)[: stage.n_m]]
+        [guess.x(i, at), np.repeat(guess.s[:, None], n, axis=1), guess.v(i, at)[: traced.n_m]]
     )
     return np.repeat(low[:, None], n, axis=1), np.repeat(high[:, None], n, axis=1), values
 
 
 def _interval_rows(
-    stage: Stage, i: int, interval: Interval
+    traced: TracedProblem, i: int, interval: Interval
 ) -> tuple[np.ndarray, np.ndarray, tuple[Row, ...]]:
     """Bounds of the rows of an interval after what it hands on, and what all its rows are."""
-    path, limits, dae = stage.terms[i].path.rows, interval.limits, stage.model.dae
+    path, limits, dae = traced.terms[i].path.rows, interval.limits, traced.model.dae
     sides = {
-        Kind.rate: (dae.x_labels, np.zeros(stage.model.n_x), np.zeros(stage.model.n_x)),
-        Kind.balance: (dae.z_labels, np.zeros(stage.model.n_z), np.zeros(stage.model.n_z)),
-        Kind.path: (path.labels, path.low, path.high),
-        Kind.limit: (limits.labels, limits.low, limits.high),
+        RowKind.rate: (dae.x_labels, np.zeros(traced.model.n_x), np.zeros(traced.model.n_x)),
+        RowKind.balance: (dae.z_labels, np.zeros(traced.model.n_z), np.zeros(traced.model.n_z)),
+        RowKind.path: (path.labels, path.low, path.high),
+        RowKind.limit: (limits.labels, limits.low, limits.high),
     }
     low, high = [np.zeros(0)], [np.zeros(0)]
-    rows = [Row(label, Kind.motion, i) for label in _y_labels(stage)]
+    rows = [Row(label, RowKind.motion, i) for label in _y_labels(traced)]
     for kind, tau in interval.rows:
         labels, lower, upper = sides[kind]
         low.append(lower)
@@ -170,58 +170,58 @@ def _interval_rows(
     return np.concatenate(low), np.concatenate(high), tuple(rows)
 
 
-def _node(stage: Stage, i: int, end: End, guess: Guess, where: Where) -> Segment:
+def _node(traced: TracedProblem, i: int, end: End, guess: Guess, where: Where) -> Segment:
     """The node at an end of a phase: w = [y; z if needed]."""
     last = where is Where.end
     at = np.array([1.0 if last else 0.0])
-    n_next = 0 if last and i == stage.n_phases - 1 else stage.n_y
-    z_cost = last and stage.depends(stage.terms[i].end_cost, *_link(stage, i))[0]
-    n_z = stage.model.n_z if end.needs_z or z_cost else 0
-    low, high, values = _handed_on(stage, i, guess, at)
-    low[: stage.model.n_x, 0], high[: stage.model.n_x, 0] = end.box
+    n_next = 0 if last and i == traced.n_phases - 1 else traced.n_y
+    z_cost = last and traced.depends(traced.terms[i].end_cost, *_link(traced, i))[0]
+    n_z = traced.model.n_z if end.needs_z or z_cost else 0
+    low, high, values = _handed_on(traced, i, guess, at)
+    low[: traced.model.n_x, 0], high[: traced.model.n_x, 0] = end.box
     if not last:
-        _fix_unused(stage, i, low, high)
-    unknowns, far = stage.model.dae.z_labels[:n_z], np.full((n_z, 1), np.inf)
+        _fix_unused(traced, i, low, high)
+    unknowns, far = traced.model.dae.z_labels[:n_z], np.full((n_z, 1), np.inf)
     lower, upper = np.vstack([low, -far]), np.vstack([high, far])
-    links = [Row(label, Kind.link, i) for label in _y_labels(stage)]
+    links = [Row(label, RowKind.link, i) for label in _y_labels(traced)]
     balance = np.zeros(n_z)
     return Segment(
         where,
         i,
-        _node_functions(stage, i, end, n_z, last, n_next),
+        _node_functions(traced, i, end, n_z, last, n_next),
         np.zeros((0, 1)),
-        stage.n_y,
+        traced.n_y,
         n_next,
         lower,
         upper,
         np.clip(np.vstack([values, guess.z(i, at)[:n_z]]), lower, upper),
         np.concatenate([balance, end.low]),
         np.concatenate([balance, end.high]),
-        tuple(Variable(label) for label in (*_y_labels(stage), *unknowns)),
-        (*links[:n_next], *(Row(label, Kind.balance, i) for label in unknowns), *end.rows),
+        tuple(Variable(label) for label in (*_y_labels(traced), *unknowns)),
+        (*links[:n_next], *(Row(label, RowKind.balance, i) for label in unknowns), *end.rows),
         np.array([[at[0], at[0]]]),
     )
 
 
-def _link(stage: Stage, i: int) -> list[ca.SX]:
+def _link(traced: TracedProblem, i: int) -> list[ca.SX]:
     """States after the end of a phase by those before, if they jump."""
-    link = stage.terms[i + 1].link if i + 1 < stage.n_phases else None
+    link = traced.terms[i + 1].link if i + 1 < traced.n_phases else None
     return [] if link is None else [link]
 
 
 def _node_functions(
-    stage: Stage, i: int, end: End, n_z: int, last: bool, n_next: int
+    traced: TracedProblem, i: int, end: End, n_z: int, last: bool, n_next: int
 ) -> BlockFunctions:
-    w, c = ca.SX.sym("w", stage.n_y + n_z), ca.SX.sym("c", 0)
-    x, s, m = stage.split(w[: stage.n_y])
-    z = w[stage.n_y :] if n_z else ca.SX.zeros(stage.model.n_z)
-    v = m if stage.n_m else ca.SX.zeros(stage.n_v)
-    t0, length = stage.span(i, s)
+    w, c = ca.SX.sym("w", traced.n_y + n_z), ca.SX.sym("c", 0)
+    x, s, m = traced.split(w[: traced.n_y])
+    z = w[traced.n_y :] if n_z else ca.SX.zeros(traced.model.n_z)
+    v = m if traced.n_m else ca.SX.zeros(traced.n_v)
+    t0, length = traced.span(i, s)
     t = t0 + length if last else t0
     rows, alg = end.value(t, x, z, v, s)
-    cost, following = ca.SX(0), w[: stage.n_y]
+    cost, following = ca.SX(0), w[: traced.n_y]
     if last:
-        own = stage.over("own", stage.terms[i].end_cost, *_link(stage, i))
+        own = traced.over("own", traced.terms[i].end_cost, *_link(traced, i))
         cost, *link = own.call([ca.SX(a) for a in (t, x, z, v, s)])
         following = ca.vertcat(link[0], s, m) if link else following
     if not n_next:
@@ -230,12 +230,12 @@ def _node_functions(
     return BlockFunctions.derived("node", w, c, following, both, cost)
 
 
-def _state_box(stage: Stage, i: int, interval: Interval) -> np.ndarray:
+def _state_box(traced: TracedProblem, i: int, interval: Interval) -> np.ndarray:
     """Bounds (n_w, 2) along a phase of the states and unknowns among an interval's variables."""
     free = np.array([[-np.inf], [np.inf]])
-    bounds = {group: path_box(stage, i, group) for group in "xz"}
-    bounds["u"] = np.repeat(free, stage.n_v, axis=1)
-    constants = np.repeat(free, stage.n_y - stage.model.n_x, axis=1)
+    bounds = {group: path_box(traced, i, group) for group in "xz"}
+    bounds["u"] = np.repeat(free, traced.n_v, axis=1)
+    constants = np.repeat(free, traced.n_y - traced.model.n_x, axis=1)
     blocks = [bounds[group] for group, _ in interval.variables]
     return np.hstack([bounds["x"], constants, *blocks]).T
 
@@ -299,5 +299,5 @@ def _as_rows(part: Segment, box: np.ndarray) -> Segment:
         high=high,
         row_low=np.append(part.row_low, box[chosen, 0]),
         row_high=np.append(part.row_high, box[chosen, 1]),
-        rows=(*part.rows, *(Row(v.label, Kind.path, part.phase, v.node) for v in moved)),
+        rows=(*part.rows, *(Row(v.label, RowKind.path, part.phase, v.node) for v in moved)),
     )

@@ -20,8 +20,8 @@ from .mesh import (
     inputs_at,
     scheme,
 )
-from .nlp import BlockFunctions, Kind
-from .stage import Stage
+from .nlp import BlockFunctions, RowKind
+from .traced import TracedProblem
 
 _MOST_POINTS = 9  # CasADi has tables up to here
 _SAVED = np.array([0.0, 0.25, 0.5, 0.75])
@@ -86,7 +86,7 @@ class DirectCollocation:
             None if self.refine is None else Refinement(self.refine, self.rounds, self.degree + 1)
         )
 
-    def interval(self, stage: Stage, i: int) -> Interval:
+    def interval(self, traced: TracedProblem, i: int) -> Interval:
         """Write the block of phase i: w = [y; Inputs at their nodes; x, z at each point].
 
         At each point tau_j the polynomials through the states meet the equations of motion, and
@@ -94,8 +94,8 @@ class DirectCollocation:
 
             sum_k slope_jk x_k = step ode_j,   0 = alg_j,   cost = step sum_j weight_j integrand_j
         """
-        on, point = self._symbols(stage, i), stage.point(i)
-        limit = limits(stage, i, self.input_degree)
+        on, point = self._symbols(traced, i), traced.point(i)
+        limit = limits(traced, i, self.input_degree)
         step, rows, cost = on.length * on.c[0], [], 0
         taus = [float(tau) for tau in on.rule.nodes[1:]]
         for j, tau in enumerate(taus):
@@ -109,7 +109,7 @@ class DirectCollocation:
             x, z = on.between(np.array([tau]))
             rows.append(limit.value(on.time(tau), x, z, on.inputs(tau), on.s))
         x_end = sum(on.rule.end[k] * x for k, x in enumerate(on.states))
-        handed = on.inputs(1.0) if stage.n_m else type(on.w)(0, 1)
+        handed = on.inputs(1.0) if traced.n_m else type(on.w)(0, 1)
         following = ca.vertcat(x_end, on.s, handed)
         functions = BlockFunctions.derived(
             "interval", on.w, on.c, following, ca.vertcat(*rows), cost
@@ -119,8 +119,10 @@ class DirectCollocation:
             functions,
             variables=input_groups(self.input_degree)
             + tuple((group, tau) for tau in taus for group in "xz"),
-            rows=tuple((k, tau) for tau in taus for k in (Kind.rate, Kind.balance, Kind.path))
-            + tuple((Kind.limit, tau) for tau in extra),
+            rows=tuple(
+                (k, tau) for tau in taus for k in (RowKind.rate, RowKind.balance, RowKind.path)
+            )
+            + tuple((RowKind.limit, tau) for tau in extra),
             saved=_SAVED,
             dense=ca.Function("dense", [on.w, on.c], on.between(_SAVED)),
             limits=limit,
@@ -128,26 +130,26 @@ class DirectCollocation:
             check=ca.Function("check", [on.w, on.c], on.between(checked)),
         )
 
-    def _symbols(self, stage: Stage, i: int) -> _Symbols:
+    def _symbols(self, traced: TracedProblem, i: int) -> _Symbols:
         """Make the symbols of a block."""
-        model = stage.model
+        model = traced.model
         kind = ca.MX if model.kernels else ca.SX
-        n_u, n_xz = stage.n_v * (self.input_degree + 1), model.n_x + model.n_z
-        w = kind.sym("w", stage.n_y + n_u + n_xz * self.degree)
+        n_u, n_xz = traced.n_v * (self.input_degree + 1), model.n_x + model.n_z
+        w = kind.sym("w", traced.n_y + n_u + n_xz * self.degree)
         c = kind.sym("c", 2)  # length and start of the interval, as fractions of the phase
-        x0, s, _ = stage.split(w[: stage.n_y])
-        starts = [stage.n_y + n_u + j * n_xz for j in range(self.degree)]
+        x0, s, _ = traced.split(w[: traced.n_y])
+        starts = [traced.n_y + n_u + j * n_xz for j in range(self.degree)]
         return _Symbols(
             w,
             c,
             s,
-            w[stage.n_y : stage.n_y + n_u],
-            *stage.span(i, s),
+            w[traced.n_y : traced.n_y + n_u],
+            *traced.span(i, s),
             [x0, *(w[a : a + model.n_x] for a in starts)],
             [w[a + model.n_x : a + n_xz] for a in starts],
             scheme(self.scheme, self.degree),
             self.input_degree,
-            stage.n_v,
+            traced.n_v,
         )
 
 

@@ -12,8 +12,8 @@ from ..base import tableau
 from ..integrators import Rosenbrock
 from .conditions import limits
 from .mesh import Interval, Intervals, Refinement, check_method, input_groups, inputs_at
-from .nlp import BlockFunctions, Kind
-from .stage import Stage
+from .nlp import BlockFunctions, RowKind
+from .traced import TracedProblem
 
 _RK4 = np.array(
     [[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.0, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]
@@ -75,41 +75,41 @@ class Shooting:
     def _taus(self) -> np.ndarray:
         return np.arange(self.steps + 1) / self.steps
 
-    def interval(self, stage: Stage, i: int) -> Interval:
+    def interval(self, traced: TracedProblem, i: int) -> Interval:
         """Write the block of phase i: w = [y; Inputs at their nodes].
 
         Raises:
             ValueError: explicit steps for a model with algebraic unknowns.
         """
-        model = stage.model
+        model = traced.model
         if model.n_z and self.integrator is None:
             raise ValueError(
                 f"model '{model.name}': {model.n_z} algebraic unknowns, which explicit steps do "
                 "not solve; use Shooting(integrator=Rosenbrock()) or Collocation()"
             )
-        n_u = stage.n_v * (self.input_degree + 1)
-        w, c = ca.MX.sym("w", stage.n_y + n_u), ca.MX.sym("c", 2)
-        x, s, _ = stage.split(w[: stage.n_y])
-        nodes = w[stage.n_y :]
-        t0, length = stage.span(i, s)
+        n_u = traced.n_v * (self.input_degree + 1)
+        w, c = ca.MX.sym("w", traced.n_y + n_u), ca.MX.sym("c", 2)
+        x, s, _ = traced.split(w[: traced.n_y])
+        nodes = w[traced.n_y :]
+        t0, length = traced.span(i, s)
         start, step = t0 + length * c[1], length * c[0]
         march = self._rosenbrock if self.integrator else self._explicit
-        states, unknowns, cost = march(stage, i, x, nodes, s, start, step)
-        limit, rows = limits(stage, i, self.input_degree), []
+        states, unknowns, cost = march(traced, i, x, nodes, s, start, step)
+        limit, rows = limits(traced, i, self.input_degree), []
         for j, tau in enumerate(self._taus[1:]):
-            v = inputs_at(self.input_degree, tau, nodes, stage.n_v)
+            v = inputs_at(self.input_degree, tau, nodes, traced.n_v)
             at = (start + step * tau, states[j + 1], unknowns[j + 1], v, s)
             # States at the end of the interval are the next block's variables, and have their
             # bounds there; rows for them here would be redundant.
-            rows.append(limit.value(*at) if tau < 1 else stage.point(i)(*at)[3])
-        v_end = inputs_at(self.input_degree, 1.0, nodes, stage.n_v)
-        handed = v_end if stage.n_m else ca.MX(0, 1)
+            rows.append(limit.value(*at) if tau < 1 else traced.point(i)(*at)[3])
+        v_end = inputs_at(self.input_degree, 1.0, nodes, traced.n_v)
+        handed = v_end if traced.n_m else ca.MX(0, 1)
         following = ca.vertcat(states[-1], s, handed)
         dense = ca.Function("dense", [w, c], [ca.horzcat(*states[:-1]), ca.horzcat(*unknowns[:-1])])
         return Interval(
             BlockFunctions.derived("interval", w, c, following, ca.vertcat(*rows), cost),
             variables=input_groups(self.input_degree),
-            rows=(*((Kind.limit, float(tau)) for tau in self._taus[1:-1]), (Kind.path, 1.0)),
+            rows=(*((RowKind.limit, float(tau)) for tau in self._taus[1:-1]), (RowKind.path, 1.0)),
             saved=self._taus[:-1],
             dense=dense,
             limits=limit,
@@ -118,25 +118,25 @@ class Shooting:
         )
 
     def _explicit(
-        self, stage: Stage, i: int, x: Any, nodes: Any, s: Any, start: Any, step: Any
+        self, traced: TracedProblem, i: int, x: Any, nodes: Any, s: Any, start: Any, step: Any
     ) -> tuple[list[Any], list[Any], Any]:
         """States and unknowns at the ends of steps, and the cost of the interval."""
-        one, cost, states = self._step(stage, i), ca.MX(0), [x]
+        one, cost, states = self._step(traced, i), ca.MX(0), [x]
         for tau in self._taus[:-1]:
             x, q = one(float(tau), x, nodes, s, start, step)
             cost += q
             states.append(x)
         return states, [ca.MX(0, 1)] * len(states), cost
 
-    def _step(self, stage: Stage, i: int) -> ca.Function:
+    def _step(self, traced: TracedProblem, i: int) -> ca.Function:
         """Function (place on the interval, x, nodes, s, start, length) -> x after a step, cost."""
-        point = stage.point(i)
+        point = traced.point(i)
         kind = ca.SX if point.is_a("SXFunction") else ca.MX
         sizes = {
             "tau": 1,
-            "x": stage.model.n_x,
-            "nodes": stage.n_v * (self.input_degree + 1),
-            "s": stage.n_s,
+            "x": traced.model.n_x,
+            "nodes": traced.n_v * (self.input_degree + 1),
+            "s": traced.n_s,
             "start": 1,
             "length": 1,
         }
@@ -147,7 +147,7 @@ class Shooting:
         z = kind(0, 1)
         for row, node in zip(table[:-1], when, strict=True):
             place = tau + share * node
-            v = inputs_at(self.input_degree, place, nodes, stage.n_v)
+            v = inputs_at(self.input_degree, place, nodes, traced.n_v)
             moved = x + share * length * _combined(row, [slope for slope, _ in slopes])
             rate, _, q, _ = point(start + length * place, moved, z, v, s)
             slopes.append((rate, q))
@@ -164,19 +164,19 @@ class Shooting:
         return tableau.A[: n + 1, :n], tableau.C[:n]
 
     def _rosenbrock(
-        self, stage: Stage, i: int, x: Any, nodes: Any, s: Any, start: Any, step: Any
+        self, traced: TracedProblem, i: int, x: Any, nodes: Any, s: Any, start: Any, step: Any
     ) -> tuple[list[Any], list[Any], Any]:
         """States and unknowns at the points of an interval, and its cost, by CasADi's method."""
-        model, point, method = stage.model, stage.point(i), self.integrator or Rosenbrock()
+        model, point, method = traced.model, traced.point(i), self.integrator or Rosenbrock()
         kind = ca.SX if point.is_a("SXFunction") else ca.MX
-        n_u = stage.n_v * (self.input_degree + 1)
+        n_u = traced.n_v * (self.input_degree + 1)
         # Time runs over the interval as tau from 0 to 1, since CasADi's integrator has a fixed end
         # and the length may be free: x' and the cost are multiplied by the length.
         own_x, own_z = kind.sym("x", model.n_x), kind.sym("z", model.n_z)
-        p, tau = kind.sym("p", n_u + stage.n_s + 2), kind.sym("tau")
-        v = inputs_at(self.input_degree, tau, p[:n_u], stage.n_v)
+        p, tau = kind.sym("p", n_u + traced.n_s + 2), kind.sym("tau")
+        v = inputs_at(self.input_degree, tau, p[:n_u], traced.n_v)
         t = p[-2] + p[-1] * tau
-        rate, alg, q, _ = point(t, own_x, own_z, v, p[n_u : n_u + stage.n_s])
+        rate, alg, q, _ = point(t, own_x, own_z, v, p[n_u : n_u + traced.n_s])
         dae = {
             "t": tau,
             "x": own_x,
@@ -189,7 +189,7 @@ class Shooting:
         options = {"reltol": method.rtol, "abstol": method.atol, **method.casadi_options}
         grid = [float(value) for value in self._taus[1:]]
         solve = ca.integrator("interval", "rosenbrock", dae, 0.0, grid, options)
-        found = solve(x0=x, z0=_start_unknowns(stage), p=ca.vertcat(nodes, s, start, step))
+        found = solve(x0=x, z0=_start_unknowns(traced), p=ca.vertcat(nodes, s, start, step))
         states = [x, *ca.horzsplit(found["xf"])]
         unknowns = ca.horzsplit(found["zf"]) if model.n_z else [ca.MX(0, 1)] * self.steps
         return states, [unknowns[0], *unknowns], found["qf"][:, -1]
@@ -201,7 +201,7 @@ def _combined(row: np.ndarray, values: list[Any]) -> Any:
     return sum(parts[1:], parts[0]) if parts else 0.0
 
 
-def _start_unknowns(stage: Stage) -> np.ndarray:
+def _start_unknowns(traced: TracedProblem) -> np.ndarray:
     """Where Newton's method for the algebraic unknowns begins (n_z,)."""
-    values = [float(value) for value in stage.parameters(stage.s_start)[: stage.model.n_p]]
-    return stage.model.dae.start_values(np.array(values))[1]
+    values = [float(value) for value in traced.parameters(traced.s_start)[: traced.model.n_p]]
+    return traced.model.dae.start_values(np.array(values))[1]

@@ -25,7 +25,7 @@ from .mesh import Method, control_nodes
 from .nlp import Segment, Where
 from .parametric import Parametric, parametric
 from .problem import Problem
-from .stage import Role
+from .traced import Role
 
 PROBLEM = "optimal control problem"
 _PARTS = ("value", "jacobian", "gradient", "hessian")
@@ -111,7 +111,7 @@ def export_problem(
             be written to C; names that collide in C; a folder that cannot be written.
     """
     made = parametric(problem, method, guess)
-    model, name, target = made.stage.model, made.name, Path(folder)
+    model, name, target = made.traced.model, made.name, Path(folder)
     sizes = _sizes(made, solver)
     texts = {
         f"{name}.h": _header(made, sizes),
@@ -126,9 +126,9 @@ def export_problem(
 
 
 def _manifest(made: Parametric, sizes: Sizes, functions: list[str], texts: dict[str, str]) -> str:
-    model = made.stage.model
+    model = made.traced.model
     labels = {group.letter: group.labels for group in _groups(made)}
-    labels["s"] = tuple(c.label for c in made.stage.constants)
+    labels["s"] = tuple(c.label for c in made.traced.constants)
     content = {
         "rbsd_sym": version.VERSION,
         "abi": version.ABI,
@@ -167,12 +167,12 @@ def _patterns(made: Parametric) -> tuple[ca.Sparsity, ca.Sparsity]:
 
 
 def _sizes(made: Parametric, solver: bool) -> Sizes:
-    stage, nlp = made.stage, made.chain.nlp
+    traced, nlp = made.traced, made.chain.nlp
     jac, hess = _patterns(made)
     calls = [getattr(block, part) for block in made.blocks for part in _PARTS]
     numbers = {
-        "N_X": stage.model.n_x,
-        "N_U": stage.n_v,
+        "N_X": traced.model.n_x,
+        "N_U": traced.n_v,
         "N_P": len(made.p_labels),
         "N_W": nlp.n,
         "N_G": nlp.m,
@@ -187,8 +187,8 @@ def _sizes(made: Parametric, solver: bool) -> Sizes:
         numbers |= {"N_WORK": own + qp.sz_w(), "N_IWORK": max(1, qp.sz_iw())}
     mesh = made.chain.mesh[0]
     equal = bool(np.ptp(np.diff(mesh)) < 1e-12)
-    fixed = not any(constant.role is Role.horizon for constant in stage.constants)
-    shifts = stage.n_phases == 1 and equal and fixed
+    fixed = not any(constant.role is Role.horizon for constant in traced.constants)
+    shifts = traced.n_phases == 1 and equal and fixed
     return Sizes(numbers, jac, hess, stack, shifts, solver)
 
 
@@ -234,7 +234,7 @@ def _source(made: Parametric, method: Method, sizes: Sizes) -> str:
     ]
     return "\n".join(
         [
-            banner(made.stage.model, f"{name}.c: functions of an optimal control problem"),
+            banner(made.traced.model, f"{name}.c: functions of an optimal control problem"),
             f'#include "{name}.h"\n',
             "#include <math.h>\n#include <stddef.h>\n#include <string.h>\n",
             "#if defined(__GNUC__)\n"
@@ -268,9 +268,9 @@ def _kernel(name: str, k: int, part: str) -> str:
 
 
 def _marks(made: Parametric, sizes: Sizes, method: Method) -> dict[str, Any]:
-    stage, part = made.stage, made.chain.nlp.segments[0]
-    offsets, at = [0], stage.n_y
-    widths = {"u": stage.n_v, "x": stage.model.n_x, "z": stage.model.n_z}
+    traced, part = made.traced, made.chain.nlp.segments[0]
+    offsets, at = [0], traced.n_y
+    widths = {"u": traced.n_v, "x": traced.model.n_x, "z": traced.model.n_z}
     for group, _ in made.chain.intervals[0].variables:
         offsets += [at] if group == "x" else []
         at += widths[group]
@@ -295,7 +295,7 @@ def _marks(made: Parametric, sizes: Sizes, method: Method) -> dict[str, Any]:
         "NAME": names.constant(made.name),
         "TABLES": "\n".join(tables) + "\n",
         "N_SEGMENTS": len(made.blocks),
-        "N_Y": stage.n_y,
+        "N_Y": traced.n_y,
         "STRIDE": part.n_w,
         "N_ROWS": part.n_g,
         "N_INTERVALS": part.count,
@@ -348,7 +348,7 @@ def _header(made: Parametric, sizes: Sizes) -> str:
     Raises:
         ValueError: names that collide in C.
     """
-    model, name, upper = made.stage.model, made.name, names.constant(made.name)
+    model, name, upper = made.traced.model, made.name, names.constant(made.name)
     indices = [
         index_lines(name, group.letter, f"{group.head}: {', '.join(group.columns)}.", group.labels)
         for group in _groups(made)
@@ -377,7 +377,7 @@ def _codes(upper: str, solver: bool) -> list[tuple[str, int, str]]:
     return [(f"{upper}_{key}", value, f" /* {words} */") for key, value, words in chosen]
 
 
-class _Group(NamedTuple):
+class _LabelGroup(NamedTuple):
     """Numbers of one kind in C: the letter in their constants, a title, what is told of each."""
 
     letter: str
@@ -386,33 +386,33 @@ class _Group(NamedTuple):
     labels: tuple[Label, ...]
 
 
-def _groups(made: Parametric) -> list[_Group]:
-    stage, default = made.stage, ("unit", "default value")
+def _groups(made: Parametric) -> list[_LabelGroup]:
+    traced, default = made.traced, ("unit", "default value")
     states = tuple(
         replace(label, start=float(value))
-        for label, value in zip(stage.model.x_labels, made.state, strict=True)
+        for label, value in zip(traced.model.x_labels, made.state, strict=True)
     )
     constants = tuple(
         replace(c.label, quantity=f"horizon_of_phase_{c.index}")
         if c.role is Role.horizon
         else c.label
-        for c in stage.constants
+        for c in traced.constants
     )
     return [
-        _Group("x", "Measured states", default, states),
-        _Group("u", "Inputs that are found", default, stage.v_labels),
-        _Group("p", "Arguments p", default, made.p_labels),
-        _Group(
+        _LabelGroup("x", "Measured states", default, states),
+        _LabelGroup("u", "Inputs that are found", default, traced.v_labels),
+        _LabelGroup("p", "Arguments p", default, made.p_labels),
+        _LabelGroup(
             "s", "Constants that are found", ("unit", "value at the start of the search"), constants
         ),
     ]
 
 
 def _layout(made: Parametric, upper: str) -> list[tuple[str, int, str]]:
-    stage, nlp = made.stage, made.chain.nlp
+    traced, nlp = made.traced, made.chain.nlp
     body, end = made.chain.segments(Where.path), made.chain.segments(Where.end)
-    rows = [(f"{upper}_CONSTANT", stage.model.n_x, ""), (f"{upper}_U", stage.n_y, "")]
-    for i in range(stage.n_phases):
+    rows = [(f"{upper}_CONSTANT", traced.model.n_x, ""), (f"{upper}_U", traced.n_y, "")]
+    for i in range(traced.n_phases):
         part = nlp.segments[body[i]]
         rows += [
             (f"{upper}_PHASE_{i}", nlp.offsets[body[i]][0], ""),
@@ -427,7 +427,7 @@ def _example(made: Parametric, sizes: Sizes) -> str:
     """A program that evaluates the problem where the search starts, and solves it if it can."""
     name, upper = made.name, names.constant(made.name)
     lines = [
-        banner(made.stage.model, "example.c: the problem where the search starts"),
+        banner(made.traced.model, "example.c: the problem where the search starts"),
         f"/* Build and run: cc -std=c99 -O2 example.c {name}.c -lm -o example && ./example */",
         "#include <stdio.h>",
         f'#include "{name}.h"',
@@ -467,7 +467,7 @@ def _example(made: Parametric, sizes: Sizes) -> str:
 
 def _card(made: Parametric, sizes: Sizes, method: str) -> str:
     """The text of README.md."""
-    model, name = made.stage.model, made.name
+    model, name = made.traced.model, made.name
     n = sizes.numbers
     more = ", solver=True" if sizes.solver else ""
     lines = [

@@ -14,7 +14,7 @@ import numpy as np
 from .chain import Chain
 from .mesh import inputs_at
 from .plan import Flight, Plan, pieces, trajectory
-from .stage import Stage
+from .traced import TracedProblem
 
 RTOL = 1e-10
 _ATOL = 1e-12
@@ -37,7 +37,7 @@ class IntervalSimulator:
     """
 
     def __init__(self, chain: Chain, degree: int) -> None:
-        self.chain, self.stage, self.degree = chain, chain.stage, degree
+        self.chain, self.traced, self.degree = chain, chain.traced, degree
 
     def run(
         self,
@@ -61,7 +61,7 @@ class IntervalSimulator:
         Raises:
             FlightFailed: IDAS stopped.
         """
-        p, model = np.concatenate([nodes, s, [t0, step]]), self.stage.model
+        p, model = np.concatenate([nodes, s, [t0, step]]), self.traced.model
         given: dict[str, Any] = {}
         if model.n_z:
             arguments = (t0, x, z, self._inputs(nodes, t0), self._parameters(s))
@@ -84,11 +84,11 @@ class IntervalSimulator:
         return np.array(result["xf"]), np.array(result["zf"])
 
     def _inputs(self, nodes: np.ndarray, t0: float) -> np.ndarray:
-        first = inputs_at(self.degree, 0.0, nodes, self.stage.n_v)
-        return np.array([float(value) for value in self.stage.inputs(t0, first)])
+        first = inputs_at(self.degree, 0.0, nodes, self.traced.n_v)
+        return np.array([float(value) for value in self.traced.inputs(t0, first)])
 
     def _parameters(self, s: np.ndarray) -> np.ndarray:
-        values = self.stage.parameters(s)[: self.stage.model.n_p]
+        values = self.traced.parameters(s)[: self.traced.model.n_p]
         return np.array([float(value) for value in values])
 
     def _integrator(self, i: int, given: dict[str, Any]) -> ca.Function:
@@ -98,10 +98,10 @@ class IntervalSimulator:
 
     @cached_property
     def _without_unknowns(self) -> list[ca.Function]:
-        return [self._built(i, {}) for i in range(self.stage.n_phases)]
+        return [self._built(i, {}) for i in range(self.traced.n_phases)]
 
     def _built(self, i: int, given: dict[str, Any]) -> ca.Function:
-        model = self.stage.model
+        model = self.traced.model
         grid = [float(tau) for tau in (*self.chain.intervals[i].saved[1:], 1.0)]
         scale = _SAFETY / math.sqrt(max(1, model.n_x + model.n_z))
         large = model.n_x + model.n_z > _LARGE
@@ -117,15 +117,15 @@ class IntervalSimulator:
     @cached_property
     def _dae(self) -> dict[str, Any]:
         """The model over one interval, with tau from 0 to 1 as its time."""
-        stage, model = self.stage, self.stage.model
-        rates = stage.rates()
+        traced, model = self.traced, self.traced.model
+        rates = traced.rates()
         kind = ca.SX if rates.is_a("SXFunction") else ca.MX
-        n_u = stage.n_v * (self.degree + 1)
+        n_u = traced.n_v * (self.degree + 1)
         x, z = kind.sym("x", model.n_x), kind.sym("z", model.n_z)
-        p, tau = kind.sym("p", n_u + stage.n_s + 2), kind.sym("tau")
+        p, tau = kind.sym("p", n_u + traced.n_s + 2), kind.sym("tau")
         t, step = p[-2] + p[-1] * tau, p[-1]
-        v = inputs_at(self.degree, tau, p[:n_u], stage.n_v)
-        ode, alg = rates(t, x, z, v, p[n_u : n_u + stage.n_s])
+        v = inputs_at(self.degree, tau, p[:n_u], traced.n_v)
+        ode, alg = rates(t, x, z, v, p[n_u : n_u + traced.n_s])
         return {"t": tau, "x": x, "z": z, "p": p, "ode": step * ode, "alg": alg}
 
 
@@ -138,13 +138,13 @@ def flown(chain: Chain, plan: Plan, degree: int) -> tuple[Flight, np.ndarray]:
     Raises:
         FlightFailed: IDAS stopped.
     """
-    stage, simulator = plan.stage, IntervalSimulator(chain, degree)
-    size = _sizes(stage, np.hstack([phase.saved_x for phase in plan.phases]))[:, None]
+    traced, simulator = plan.traced, IntervalSimulator(chain, degree)
+    size = _sizes(traced, np.hstack([phase.saved_x for phase in plan.phases]))[:, None]
     x, z = plan.phases[0].x[:, 0], plan.phases[0].saved_z[:, 0]
     errors, moved = [], []
     for i, phase in enumerate(plan.phases):
         k = len(chain.intervals[i].saved)
-        if i and stage.terms[i].link is not None:
+        if i and traced.terms[i].link is not None:
             x = _linked(plan, i, x, z)
         xs, zs = [x[:, None]], [z[:, None]]
         for j in range(len(phase.nodes)):
@@ -164,14 +164,14 @@ def flown(chain: Chain, plan: Plan, degree: int) -> tuple[Flight, np.ndarray]:
 
 def _linked(plan: Plan, i: int, x: np.ndarray, z: np.ndarray) -> np.ndarray:
     """States just after the start of phase i, from those just before."""
-    link = plan.stage.over("link", plan.stage.terms[i].link)
+    link = plan.traced.over("link", plan.traced.terms[i].link)
     before = len(np.concatenate([phase.nodes for phase in plan.phases[:i]])) - 1
     v = np.array([float(piece.at(before, [1.0])[0]) for piece in pieces(plan).values()])
     return np.array(link(plan.phases[i].t[0], x, z, v, plan.s)).reshape(-1)
 
 
 def _compared(plan: Plan, moved: list[Any], size: np.ndarray) -> Flight:
-    labels = plan.stage.model.x_labels
+    labels = plan.traced.model.x_labels
     found = (0.0, labels[0].name, float(plan.phases[0].t[0]))
     for phase, (x, _) in zip(plan.phases, moved, strict=True):
         gap = np.abs(x - np.hstack([phase.saved_x, phase.x[:, -1:]])) / size
@@ -182,9 +182,9 @@ def _compared(plan: Plan, moved: list[Any], size: np.ndarray) -> Flight:
     return Flight(trajectory(plan, moved), found[0], found[1:])
 
 
-def _sizes(stage: Stage, x: np.ndarray) -> np.ndarray:
+def _sizes(traced: TracedProblem, x: np.ndarray) -> np.ndarray:
     """For each state the largest value (n,) of all states with its unit, 1 if that is 0."""
-    units = [label.unit for label in stage.model.x_labels]
+    units = [label.unit for label in traced.model.x_labels]
     top = np.abs(x).max(axis=1)
     largest = {
         unit: max(v for v, own in zip(top, units, strict=True) if own == unit) for unit in units

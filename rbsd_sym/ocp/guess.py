@@ -16,7 +16,7 @@ from .chain import Chain, Guess
 from .conditions import oriented, start_box, start_values
 from .plan import Plan, Solution, pieces
 from .problem import Free
-from .stage import Stage
+from .traced import TracedProblem
 
 _NEWTON = 30  # steps towards states that meet the conditions at an end
 _DAMPING = 1e-8  # of these steps
@@ -25,7 +25,7 @@ _STUCK, _NUDGE = 1e-6, 0.1  # a step that leads nowhere, and one that leads away
 
 
 def first_guess(
-    stage: Stage, given: Any, mesh: tuple[np.ndarray, ...], degree: int
+    traced: TracedProblem, given: Any, mesh: tuple[np.ndarray, ...], degree: int
 ) -> tuple[Guess, dict[str, np.ndarray]]:
     """Return a guess, and variables and multipliers where an earlier solution has the same mesh.
 
@@ -39,88 +39,88 @@ def first_guess(
         TypeError: anything else.
     """
     if isinstance(given, Solution):
-        return _warm(stage, given, mesh, degree)
-    base = from_conditions(stage)
+        return _warm(traced, given, mesh, degree)
+    base = from_conditions(traced)
     if given is None:
         return base, {}
     if isinstance(given, Trajectory):
-        return _from_trajectory(stage, base, given), {}
+        return _from_trajectory(traced, base, given), {}
     if isinstance(given, Mapping):
-        return _from_values(stage, base, given), {}
+        return _from_values(traced, base, given), {}
     raise TypeError(
         f"guess: {type(given).__name__}; give a Trajectory, a Solution, or a mapping of values by "
         "name"
     )
 
 
-def from_conditions(stage: Stage) -> Guess:
+def from_conditions(traced: TracedProblem) -> Guess:
     """Lead the states straight from the start to the end of each phase, rotations the short way.
 
     Inputs are at their guess, else the model's value within the bounds; algebraic unknowns balance
     at the start.
     """
-    s = stage.s_start.copy()
-    ends = [_start_states(stage)]
-    for i in range(stage.n_phases):
-        ends.append(_end_states(stage, i, ends[-1], s))
-    if stage.problem.periodic:
-        stage.start_copy(s)[:] = ends[0]
+    s = traced.s_start.copy()
+    ends = [_start_states(traced)]
+    for i in range(traced.n_phases):
+        ends.append(_end_states(traced, i, ends[-1], s))
+    if traced.problem.periodic:
+        traced.start_copy(s)[:] = ends[0]
 
     def x(i: int, at: np.ndarray) -> np.ndarray:
         before, after = ends[i], ends[i + 1]
         found = before[:, None] + (after - before)[:, None] * at
-        for turn in stage.turns:
+        for turn in traced.turns:
             rows = list(turn.rows)
             found[rows] = _arc(before[rows], after[rows], at)
         return found
 
     def v(i: int, at: np.ndarray) -> np.ndarray:
-        t0, length = stage.span(i, s)
-        rows = [_input(stage, k, float(t0) + float(length) * at) for k in stage.controls]
-        return np.array(rows).reshape(stage.n_v, len(at))
+        t0, length = traced.span(i, s)
+        rows = [_input(traced, k, float(t0) + float(length) * at) for k in traced.controls]
+        return np.array(rows).reshape(traced.n_v, len(at))
 
-    z0 = _balanced(stage, ends[0], v(0, np.zeros(1)), s)
+    z0 = _balanced(traced, ends[0], v(0, np.zeros(1)), s)
     return Guess(s, x, lambda i, at: np.repeat(z0[:, None], len(at), axis=1), v)
 
 
-def _input(stage: Stage, k: int, t: np.ndarray) -> np.ndarray:
-    label = stage.model.dae.u_labels[k]
-    free: Free = stage.problem.inputs[label.name]
+def _input(traced: TracedProblem, k: int, t: np.ndarray) -> np.ndarray:
+    label = traced.model.dae.u_labels[k]
+    free: Free = traced.problem.inputs[label.name]
     if callable(free.guess):
         return np.clip([float(free.guess(float(time))) for time in t], free.low, free.high)
     return np.full(len(t), free.start(label.start))
 
 
-def _start_states(stage: Stage) -> np.ndarray:
-    box = start_box(stage, 0)
-    return np.clip(start_values(stage), box[0], box[1])
+def _start_states(traced: TracedProblem) -> np.ndarray:
+    box = start_box(traced, 0)
+    return np.clip(start_values(traced), box[0], box[1])
 
 
-def _end_states(stage: Stage, i: int, before: np.ndarray, s: np.ndarray) -> np.ndarray:
+def _end_states(traced: TracedProblem, i: int, before: np.ndarray, s: np.ndarray) -> np.ndarray:
     """States near those at the start of a phase that meet the conditions at its end, if found."""
-    end = stage.terms[i].end
-    box = end.limits("x", range(stage.model.n_x))
+    end = traced.terms[i].end
+    box = end.limits("x", range(traced.model.n_x))
     x = np.clip(before, box[0], box[1])
     for target in end.rows.targets:
-        for row, value in oriented(stage, target).items():
+        for row, value in oriented(traced, target).items():
             x[row] = value
-    return np.clip(_towards(stage, i, x, s), box[0], box[1])
+    return np.clip(_towards(traced, i, x, s), box[0], box[1])
 
 
-def _towards(stage: Stage, i: int, x: np.ndarray, s: np.ndarray) -> np.ndarray:
+def _towards(traced: TracedProblem, i: int, x: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Move states by Newton's method, in least squares, until they meet the rows of an end.
 
     They are returned as given if a value or derivative is not finite.
     """
-    rows = stage.terms[i].end.rows
+    rows = traced.terms[i].end.rows
     if not rows.labels:
         return x
-    symbols = stage.arguments(ca.SX)
-    value = stage.node(rows.expr)(*symbols)[0]
+    symbols = traced.arguments(ca.SX)
+    value = traced.node(rows.expr)(*symbols)[0]
     both = ca.Function("towards", symbols, [value, ca.jacobian(value, symbols[1])])
-    t0, length = stage.span(i, s)
-    fixed = (float(t0) + float(length), np.zeros(stage.model.n_z), np.zeros(stage.n_v), s)
-    turns = np.array([label.unit == "rad" for label in stage.model.x_labels])
+    t0, length = traced.span(i, s)
+    fixed = (float(t0) + float(length), np.zeros(traced.model.n_z), np.zeros(traced.n_v), s)
+    turns = np.array([label.unit == "rad" for label in traced.model.x_labels])
     found, widest = x.copy(), np.where(turns, _TURN, np.inf)
     for _ in range(_NEWTON):
         r, J = (np.array(ca.DM(part)) for part in both(fixed[0], found, *fixed[1:]))
@@ -148,27 +148,27 @@ def _arc(before: np.ndarray, after: np.ndarray, at: np.ndarray) -> np.ndarray:
     return (np.outer(a, np.sin((1 - at) * angle)) + np.outer(b, np.sin(at * angle))) / np.sin(angle)
 
 
-def _balanced(stage: Stage, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
-    model = stage.model
-    p = np.array([float(value) for value in stage.parameters(s)])[: model.n_p]
+def _balanced(traced: TracedProblem, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
+    model = traced.model
+    p = np.array([float(value) for value in traced.parameters(s)])[: model.n_p]
     z = model.dae.start_values(p)[1]
     if not model.n_z:
         return z
-    u = np.array([float(value) for value in stage.inputs(0.0, v[:, 0])])
+    u = np.array([float(value) for value in traced.inputs(0.0, v[:, 0])])
     found, good = model.plain.consistent(0.0, x, z, u, p)
     return found if good else z
 
 
-def _from_trajectory(stage: Stage, base: Guess, given: Trajectory) -> Guess:
+def _from_trajectory(traced: TracedProblem, base: Guess, given: Trajectory) -> Guess:
     """Stretch a trajectory over the phases, whose lengths are as guessed."""
-    dae = stage.model.dae
+    dae = traced.model.dae
     known = [v.name for v in dae.x_labels]
     missing = [name for name in known if name not in given]
     if missing:
         raise ValueError(
             f"guess: trajectory '{given.name}' has no '{missing[0]}'; it is of another model"
         )
-    lengths = np.array([float(v) for v in stage.durations(base.s)])
+    lengths = np.array([float(v) for v in traced.durations(base.s)])
     bounds = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
     t0, span = float(given.t[0]), float(given.t[-1] - given.t[0])
 
@@ -183,25 +183,25 @@ def _from_trajectory(stage: Stage, base: Guess, given: Trajectory) -> Guess:
 
         return values
 
-    s = _scaled_horizons(stage, base.s, span)
+    s = _scaled_horizons(traced, base.s, span)
     x = pick(dae.x_labels, base.x)
-    if stage.problem.periodic:
-        stage.start_copy(s)[:] = x(0, np.zeros(1))[:, 0]
-    return Guess(s, x, pick(dae.z_labels, base.z), pick(stage.v_labels, base.v))
+    if traced.problem.periodic:
+        traced.start_copy(s)[:] = x(0, np.zeros(1))[:, 0]
+    return Guess(s, x, pick(dae.z_labels, base.z), pick(traced.v_labels, base.v))
 
 
-def _scaled_horizons(stage: Stage, s: np.ndarray, span: float) -> np.ndarray:
+def _scaled_horizons(traced: TracedProblem, s: np.ndarray, span: float) -> np.ndarray:
     """Constants with one free horizon as long as the trajectory, if there is just one phase."""
     found = s.copy()
-    horizon = stage.problem.sequence[0].horizon
-    if stage.n_phases == 1 and isinstance(horizon, Free) and horizon.guess is None:
+    horizon = traced.problem.sequence[0].horizon
+    if traced.n_phases == 1 and isinstance(horizon, Free) and horizon.guess is None:
         found[0] = np.clip(span, horizon.low, horizon.high)
     return found
 
 
-def _from_values(stage: Stage, base: Guess, given: Mapping[str, Any]) -> Guess:
-    dae = stage.model.dae
-    groups = {"x": dae.x_labels, "z": dae.z_labels, "v": stage.v_labels}
+def _from_values(traced: TracedProblem, base: Guess, given: Mapping[str, Any]) -> Guess:
+    dae = traced.model.dae
+    groups = {"x": dae.x_labels, "z": dae.z_labels, "v": traced.v_labels}
     known = {label.name: label.unit for labels in groups.values() for label in labels}
     for name in given:
         if name not in known:
@@ -213,7 +213,7 @@ def _from_values(stage: Stage, base: Guess, given: Mapping[str, Any]) -> Guess:
 
     def pick(kind: str, default: Any) -> Any:
         def values(i: int, at: np.ndarray) -> np.ndarray:
-            t0, length = stage.span(i, base.s)
+            t0, length = traced.span(i, base.s)
             t = float(t0) + float(length) * at
             found = default(i, at).copy()
             for k, label in enumerate(groups[kind]):
@@ -226,7 +226,7 @@ def _from_values(stage: Stage, base: Guess, given: Mapping[str, Any]) -> Guess:
     return replace(base, **{kind: pick(kind, getattr(base, kind)) for kind in groups})
 
 
-def from_solution(stage: Stage, plan: Plan, chain: Chain) -> Guess:
+def from_solution(traced: TracedProblem, plan: Plan, chain: Chain) -> Guess:
     """Make a guess that is the plan, interpolated between its saved points."""
     own = list(pieces(plan).values())
 
@@ -235,7 +235,7 @@ def from_solution(stage: Stage, plan: Plan, chain: Chain) -> Guess:
         inner = (mesh[:-1, None] + np.diff(mesh)[:, None] * k).reshape(-1)
         return np.append(inner, 1.0)
 
-    grids = [along(i) for i in range(stage.n_phases)]
+    grids = [along(i) for i in range(traced.n_phases)]
 
     def x(i: int, at: np.ndarray) -> np.ndarray:
         phase = plan.phases[i]
@@ -262,19 +262,19 @@ def _interpolated(grid: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.nd
 
 
 def _warm(
-    stage: Stage, earlier: Solution, mesh: tuple[np.ndarray, ...], degree: int
+    traced: TracedProblem, earlier: Solution, mesh: tuple[np.ndarray, ...], degree: int
 ) -> tuple[Guess, dict[str, np.ndarray]]:
     raw = earlier.raw
     ours, before = (
         ([v.name for v in own.model.x_labels], own.n_phases, own.n_s, own.controls)
-        for own in (stage, raw.plan.stage)
+        for own in (traced, raw.plan.traced)
     )
     if ours != before:
         raise ValueError(
             f"guess: the solution of '{earlier.trajectory.name}' has other states, Inputs, free "
             "constants or phases than this problem; give its trajectory instead"
         )
-    guess = from_solution(stage, raw.plan, raw.chain)
+    guess = from_solution(traced, raw.plan, raw.chain)
     same = raw.degree == degree and all(
         a.shape == b.shape and np.allclose(a, b, rtol=0, atol=1e-12)
         for a, b in zip(raw.chain.mesh, mesh, strict=True)

@@ -55,7 +55,7 @@ class Step(NamedTuple):
     optimality: float
 
 
-class _Stats(ctypes.Structure):
+class _SolverStats(ctypes.Structure):
     _fields_ = (
         ("iterations", ctypes.c_int),
         ("programs", ctypes.c_int),
@@ -161,7 +161,7 @@ class ProblemLibrary:
             ValueError: not exported, arguments of the wrong size.
         """
         self._check("solve", "solver=True")
-        n, stats = self.sizes["N_W"] + self.sizes["N_G"], _Stats()
+        n, stats = self.sizes["N_W"] + self.sizes["N_G"], _SolverStats()
         w, u = self._given(w, "N_W"), np.zeros(self.sizes["N_U"])
         lam = np.zeros(n) if lam is None else _sized(lam, n, "lam")
         code = self._call(

@@ -16,8 +16,8 @@ import numpy as np
 
 from ..base.symbols import is_number
 from .conditions import Limits
-from .nlp import BlockFunctions, Kind
-from .stage import Stage
+from .nlp import BlockFunctions, RowKind
+from .traced import TracedProblem
 
 Intervals = Union[int, Sequence[Any]]
 """Number of equal intervals; or for each phase a number, or increasing fractions from 0 to 1."""
@@ -164,7 +164,7 @@ class Interval:
 
     functions: BlockFunctions
     variables: tuple[tuple[str, float], ...]
-    rows: tuple[tuple[Kind, float], ...]
+    rows: tuple[tuple[RowKind, float], ...]
     saved: np.ndarray
     dense: ca.Function
     limits: Limits
@@ -204,7 +204,7 @@ class Method(Protocol):
         """When to stop refining, None for one solution."""
         ...
 
-    def interval(self, stage: Stage, i: int) -> Interval:
+    def interval(self, traced: TracedProblem, i: int) -> Interval:
         """The block of an interval of phase i, whose variables begin with y and input groups."""
         ...
 

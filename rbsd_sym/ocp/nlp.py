@@ -25,7 +25,7 @@ from ..exports.load import OPTIMISED, build
 _PARTS = ("value", "jacobian", "gradient", "hessian")
 
 
-class Kind(Enum):
+class RowKind(Enum):
     """What a row of a block says; the value is the word for it in the row's name."""
 
     motion = "motion"  # what an interval hands on is what comes next
@@ -43,10 +43,10 @@ class Kind(Enum):
     @property
     def is_equation(self) -> bool:
         """Whether it belongs to the equations of motion, which no user asked for."""
-        return self in (Kind.motion, Kind.link, Kind.rate, Kind.balance)
+        return self in (RowKind.motion, RowKind.link, RowKind.rate, RowKind.balance)
 
 
-_BARE = (Kind.copy, Kind.path, Kind.limit, Kind.end)  # named as what they are about
+_BARE = (RowKind.copy, RowKind.path, RowKind.limit, RowKind.end)  # named as what they are about
 
 
 class Where(Enum):
@@ -68,7 +68,7 @@ class Row:
     """
 
     label: Label
-    kind: Kind
+    kind: RowKind
     phase: int
     node: float = 0.0
 

@@ -33,7 +33,7 @@ from .problem import Problem
 from .reasons import between_points, elastic_report, misses
 from .refine import refined
 from .solvers import Fatrop, Ipopt, NlpAnswer, OptimisationOutcome, Progress
-from .stage import Stage, check_freedom, staged
+from .traced import TracedProblem, check_freedom, trace_problem
 
 _STRAYS = 1e-3  # of the size of states, or of a limit: a plan that is further off gets a note
 _PATIENCE = 300  # iterations of fatrop, before IPOPT is tried
@@ -103,7 +103,7 @@ def optimise(
             raise TypeError(f"optimise: {given.__name__}; give an object, such as {example}")
     chosen = method or DirectCollocation()
     search = _Search(chosen, solver, progress, fly, compiled)
-    solution = _solution(problem, chosen, *search.run(staged(problem), guess))
+    solution = _solution(problem, chosen, *search.run(trace_problem(problem), guess))
     if throw and not solution.outcome.ok:
         raise OptimisationError(solution)
     return solution
@@ -119,15 +119,15 @@ class _Search:
     fly: bool
     compiled: bool
 
-    def run(self, stage: Stage, guess: Any) -> tuple[_Found, dict[str, float | str]]:
+    def run(self, traced: TracedProblem, guess: Any) -> tuple[_Found, dict[str, float | str]]:
         """Return the last round, and statistics of all."""
         begun, solving, flying, iterations, rounds = time.perf_counter(), 0.0, 0.0, 0, 0
-        intervals = _intervals(stage, self.method, self.compiled)
-        mesh = meshes(self.method.intervals, stage.n_phases)
-        start, lam = first_guess(stage, guess, mesh, self.method.input_degree)
-        check_freedom(stage)
+        intervals = _intervals(traced, self.method, self.compiled)
+        mesh = meshes(self.method.intervals, traced.n_phases)
+        start, lam = first_guess(traced, guess, mesh, self.method.input_degree)
+        check_freedom(traced)
         while True:
-            chain = chained(stage, intervals, mesh, start)
+            chain = chained(traced, intervals, mesh, start)
             lam = lam if _fits(chain, lam) else {}
             found = self._solved(chain, lam, start)
             solving, flying = solving + found.answer.seconds, flying + found.flying
@@ -136,7 +136,7 @@ class _Search:
             if finer is None:
                 break
             mesh, lam = finer, {}
-            start = from_solution(stage, found.plan, found.chain)
+            start = from_solution(traced, found.plan, found.chain)
         build = time.perf_counter() - begun - solving - flying
         return found, {
             "rounds": float(rounds),
@@ -180,17 +180,17 @@ def transcribe(problem: Problem, method: Method | None = None, guess: Any = None
     Raises:
         ValueError, TypeError: what is wrong with the problem.
     """
-    stage, chosen = staged(problem), method or DirectCollocation()
-    mesh = meshes(chosen.intervals, stage.n_phases)
-    start, _ = first_guess(stage, guess, mesh, chosen.input_degree)
-    return chained(stage, _intervals(stage, chosen, False), mesh, start).nlp
+    traced, chosen = trace_problem(problem), method or DirectCollocation()
+    mesh = meshes(chosen.intervals, traced.n_phases)
+    start, _ = first_guess(traced, guess, mesh, chosen.input_degree)
+    return chained(traced, _intervals(traced, chosen, False), mesh, start).nlp
 
 
-def _intervals(stage: Stage, method: Method, compiled: bool) -> list[Interval]:
-    intervals = [method.interval(stage, i) for i in range(stage.n_phases)]
+def _intervals(traced: TracedProblem, method: Method, compiled: bool) -> list[Interval]:
+    intervals = [method.interval(traced, i) for i in range(traced.n_phases)]
     if not compiled:
         return intervals
-    name = f"{stage.model.name}_ocp"
+    name = f"{traced.model.name}_ocp"
     return [replace(part, functions=part.functions.compiled(name)) for part in intervals]
 
 
@@ -214,7 +214,7 @@ def _explained(
     The elastic program lets conditions be missed. If none needs to be, the problem is tried once
     more from there.
     """
-    loose = chained(chain.stage, chain.intervals, chain.mesh, start, elastic=True)
+    loose = chained(chain.traced, chain.intervals, chain.mesh, start, elastic=True)
     second = solver.solve(loose.nlp, {}, None)
     if not second.outcome.ok:
         worst = misses(chain, answer.x)
@@ -223,8 +223,8 @@ def _explained(
     if missed:
         failed = answer._replace(outcome=OptimisationOutcome.infeasible)
         return failed, f"at best {'; '.join(missed[:3])}"
-    near = from_solution(chain.stage, read(loose, second.x), loose)
-    again = chained(chain.stage, chain.intervals, chain.mesh, near)
+    near = from_solution(chain.traced, read(loose, second.x), loose)
+    again = chained(chain.traced, chain.intervals, chain.mesh, near)
     third = solver.solve(again.nlp, {}, None)
     if third.outcome.ok:
         return third, ""
@@ -242,17 +242,17 @@ def _solution(
     problem: Problem, method: Method, found: _Found, stats: dict[str, float | str]
 ) -> Solution:
     chain, answer, plan = found.chain, found.answer, found.plan
-    stage = chain.stage
+    traced = chain.traced
     path: Trajectory = trajectory(plan)
     outcome, report = answer.outcome, _report(answer, found.report)
     if not outcome.ok:
         path = replace(path, outcome=Outcome.solver_failed, report=report)
     else:
-        path = across_reduction(stage.model, path)
+        path = across_reduction(traced.model, path)
         if path.outcome is Outcome.unstable_across_reduction:
             outcome, report = OptimisationOutcome.unstable_across_reduction, path.report
-    labels = stage.model.dae.parameters.labels
-    values = [float(value) for value in stage.parameters(plan.s)]
+    labels = traced.model.dae.parameters.labels
+    values = [float(value) for value in traced.parameters(plan.s)]
     functions = chain.nlp.functions
     stats |= {
         "variables": float(chain.nlp.n),
@@ -264,10 +264,10 @@ def _solution(
     raw = Raw(answer, method.input_degree, plan, chain)
     return Solution(
         problem,
-        stage.model,
+        traced.model,
         path,
         pieces(plan),
-        tuple(float(v) for v in stage.durations(plan.s)),
+        tuple(float(v) for v in traced.durations(plan.s)),
         {label.name: v for label, v in zip(labels, values, strict=True)},
         plan.edges,
         answer.cost,
@@ -278,7 +278,7 @@ def _solution(
         between,
         multipliers(chain, answer),
         stats,
-        (*stage.notes, *_strays(found.flight), *_beyond(between)),
+        (*traced.notes, *_strays(found.flight), *_beyond(between)),
         raw,
     )
 

@@ -19,7 +19,7 @@ from .guess import first_guess, from_conditions
 from .mesh import Method, meshes
 from .nlp import BlockFunctions
 from .problem import Free, Phase, Problem
-from .stage import Constant, Role, Stage, check_freedom, staged
+from .traced import Constant, Role, TracedProblem, check_freedom, trace_problem
 
 _LONG = 60_000  # instructions, above which calls stay calls
 _SHORTEST = 1e-9  # of a horizon: what a Phase takes as a lower bound
@@ -44,14 +44,14 @@ class Parametric:
     state: np.ndarray
 
     @property
-    def stage(self) -> Stage:
+    def traced(self) -> TracedProblem:
         """The problem on its symbols."""
-        return self.chain.stage
+        return self.chain.traced
 
     @property
     def name(self) -> str:
         """Name of the files in C, and prefix of the functions."""
-        return f"{self.stage.model.name}_ocp"
+        return f"{self.traced.model.name}_ocp"
 
 
 def parametric(problem: Problem, method: Method, guess: Any = None) -> Parametric:
@@ -65,11 +65,11 @@ def parametric(problem: Problem, method: Method, guess: Any = None) -> Parametri
             "Problem: periodic, so its start is to be found and cannot be measured; give one with "
             "periodic=False"
         )
-    first = staged(problem)
+    first = trace_problem(problem)
     check_freedom(first)
     state = from_conditions(first).x(0, np.zeros(1))[:, 0]
     fixed = _measured(problem, first, state)
-    own, wide = staged(fixed), staged(_widened(fixed))
+    own, wide = trace_problem(fixed), trace_problem(_widened(fixed))
     mesh = meshes(method.intervals, own.n_phases)
     start, _ = first_guess(own, guess, mesh, method.input_degree)
     chain = _chain(own, method, mesh, start)
@@ -101,16 +101,20 @@ def _flat(block: BlockFunctions) -> BlockFunctions:
     return found if found.hessian.n_instructions() < _LONG else block
 
 
-def _chain(stage: Stage, method: Method, mesh: tuple[np.ndarray, ...], guess: Guess) -> Chain:
-    return chained(stage, [method.interval(stage, i) for i in range(stage.n_phases)], mesh, guess)
+def _chain(
+    traced: TracedProblem, method: Method, mesh: tuple[np.ndarray, ...], guess: Guess
+) -> Chain:
+    return chained(
+        traced, [method.interval(traced, i) for i in range(traced.n_phases)], mesh, guess
+    )
 
 
-def _measured(problem: Problem, stage: Stage, state: np.ndarray) -> Problem:
+def _measured(problem: Problem, traced: TracedProblem, state: np.ndarray) -> Problem:
     """The problem with all states at the start fixed."""
-    labels = stage.model.x_labels
+    labels = traced.model.x_labels
     values = {label.name: float(v) for label, v in zip(labels, state, strict=True)}
     phases = [replace(problem.sequence[0], start=values), *problem.sequence[1:]]
-    return replace(problem, model=stage.model, phases=phases, fixed_start=False)
+    return replace(problem, model=traced.model, phases=phases, fixed_start=False)
 
 
 def _widened(problem: Problem) -> Problem:
@@ -132,7 +136,7 @@ def _open(phase: Phase) -> Phase:
 class _Lowering:
     """Takes constants out of the variables of blocks: those of `wide` that `own` does not find."""
 
-    def __init__(self, wide: Stage, own: Stage) -> None:
+    def __init__(self, wide: TracedProblem, own: TracedProblem) -> None:
         found = {(c.role, c.index) for c in own.constants}
         taken = [k for k, c in enumerate(wide.constants) if (c.role, c.index) not in found]
         self._taken = [wide.model.n_x + k for k in taken]  # places in y

@@ -15,10 +15,10 @@ from ..model.trajectory import Outcome, Trajectory
 from ..model.values import Experiment
 from .chain import Chain
 from .mesh import basis, control_nodes
-from .nlp import Kind, Where
+from .nlp import RowKind, Where
 from .problem import Problem
 from .solvers import NlpAnswer, OptimisationOutcome
-from .stage import Stage
+from .traced import TracedProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ class PhasePlan:
 class Plan:
     """What a program's variables mean: constants s, and the motion of each phase."""
 
-    stage: Stage
+    traced: TracedProblem
     s: np.ndarray
     phases: tuple[PhasePlan, ...]
 
@@ -258,37 +258,37 @@ class OptimisationError(RuntimeError):
 
 def read(chain: Chain, x: np.ndarray) -> Plan:
     """Return the plan of a program's variables (n,)."""
-    stage, columns = chain.stage, chain.nlp.split(x)
-    s = columns[0][stage.model.n_x : stage.model.n_x + stage.n_s, 0]
+    traced, columns = chain.traced, chain.nlp.split(x)
+    s = columns[0][traced.model.n_x : traced.model.n_x + traced.n_s, 0]
     phases, body, ends = [], chain.segments(Where.path), chain.segments(Where.end)
-    for i in range(stage.n_phases):
+    for i in range(traced.n_phases):
         own, part = columns[body[i]], chain.nlp.segments[body[i]]
         interval, mesh = chain.intervals[i], chain.mesh[i]
-        t0, length = (float(v) for v in stage.span(i, s))
-        x_end = columns[ends[i]][: stage.model.n_x]
+        t0, length = (float(v) for v in traced.span(i, s))
+        x_end = columns[ends[i]][: traced.model.n_x]
         size = interval.dense.size1_in(0)  # without slacks
         found = interval.dense.map(part.count)(own[:size], part.constants)
         saved = (mesh[:-1, None] + np.diff(mesh)[:, None] * interval.saved).reshape(-1)
-        count = interval.input_nodes * stage.n_v
+        count = interval.input_nodes * traced.n_v
         phases.append(
             PhasePlan(
                 t0 + length * mesh,
-                np.hstack([own[: stage.model.n_x], x_end]),
-                own[stage.n_y : stage.n_y + count].T.copy(),
+                np.hstack([own[: traced.model.n_x], x_end]),
+                own[traced.n_y : traced.n_y + count].T.copy(),
                 t0 + length * saved,
                 *(np.array(ca.DM(value)) for value in found),
             )
         )
-    return Plan(stage, s, tuple(phases))
+    return Plan(traced, s, tuple(phases))
 
 
 def pieces(plan: Plan) -> dict[str, Pieces]:
     """Return the Inputs that were found, by name, over all phases."""
-    stage, nodes = plan.stage, np.vstack([phase.nodes for phase in plan.phases])
-    values = nodes.reshape(len(nodes), -1, max(stage.n_v, 1))
+    traced, nodes = plan.traced, np.vstack([phase.nodes for phase in plan.phases])
+    values = nodes.reshape(len(nodes), -1, max(traced.n_v, 1))
     return {
         label.name: Pieces(plan.edges, values[:, :, j].copy())
-        for j, label in enumerate(stage.v_labels)
+        for j, label in enumerate(traced.v_labels)
     }
 
 
@@ -299,7 +299,7 @@ def trajectory(plan: Plan, moved: list[tuple[np.ndarray, np.ndarray]] | None = N
         moved: other states and unknowns of each phase (n_x, n k + 1), (n_z, n k + 1) at the same
             times.
     """
-    model, phases = plan.stage.model, plan.phases
+    model, phases = plan.traced.model, plan.phases
     t = np.concatenate([*(phase.saved_t for phase in phases), phases[-1].t[-1:]])
     if moved is None:
         last = phases[-1]
@@ -308,8 +308,8 @@ def trajectory(plan: Plan, moved: list[tuple[np.ndarray, np.ndarray]] | None = N
     else:
         x = np.hstack([*(x[:, :-1] for x, _ in moved), moved[-1][0][:, -1:]])
         z = np.hstack([*(z[:, :-1] for _, z in moved), moved[-1][1][:, -1:]])
-    values = np.array([float(v) for v in plan.stage.parameters(plan.s)])
-    given = {**plan.stage.problem.inputs, **pieces(plan)}
+    values = np.array([float(v) for v in plan.traced.parameters(plan.s)])
+    given = {**plan.traced.problem.inputs, **pieces(plan)}
     signals = tuple(given[label.name] for label in model.dae.u_labels)
     experiment = Experiment(t, x[:, 0], z[:, 0], values[: model.n_p], signals, values[model.n_p :])
     result = Run(x.T.copy(), z.T.copy(), False, "", {})
@@ -326,13 +326,13 @@ def multipliers(chain: Chain, answer: NlpAnswer) -> dict[str, np.ndarray]:
     A costate is the change of the cost by the state, at the ends of intervals after the first.
     """
     found: dict[str, list[float]] = {}
-    nlp, n_x = chain.nlp, chain.stage.model.n_x
+    nlp, n_x = chain.nlp, chain.traced.model.n_x
     for part, (_, top), lam in zip(
         nlp.segments, nlp.offsets, nlp.split(answer.lam_x), strict=False
     ):
         lam_g = part.columns(answer.lam_g[top : top + part.n_g * part.count])
         for j, row in enumerate(part.rows):
-            if row.kind is Kind.motion and j < n_x:
+            if row.kind is RowKind.motion and j < n_x:
                 found.setdefault(f"costate of {row.label.name}", []).extend(-lam_g[j])
             elif not row.kind.is_equation:
                 found.setdefault(f"{part.where.value} {row.name}", []).extend(-lam_g[j])

@@ -48,7 +48,7 @@ def _at(
     """Make a miss of a variable or row of a block of segment j."""
     part = chain.nlp.segments[j]
     a, b = part.fractions[block]
-    t0, length = (float(v) for v in chain.stage.span(part.phase, s))
+    t0, length = (float(v) for v in chain.traced.span(part.phase, s))
     relative = abs(value - bound) / (1 + abs(bound))
     t = t0 + length * (a + what.node * (b - a))
     name = f"{_phase(chain, part.phase)}{part.where.value} '{what.name}'"
@@ -56,7 +56,7 @@ def _at(
 
 
 def _phase(chain: Chain, i: int) -> str:
-    return f"phase {i}, " if chain.stage.n_phases > 1 else ""
+    return f"phase {i}, " if chain.traced.n_phases > 1 else ""
 
 
 def elastic_report(chain: Chain, x: np.ndarray) -> list[str]:
@@ -120,7 +120,7 @@ def _limited(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) at which phase i is checked, and what is limited there (rows, n)."""
     number, interval, phase = chain.segments(Where.path)[i], chain.intervals[i], plan.phases[i]
-    part, n_v = chain.nlp.segments[number], chain.stage.n_v
+    part, n_v = chain.nlp.segments[number], chain.traced.n_v
     columns = chain.nlp.split(x)[number]
     states, unknowns = interval.check.map(part.count)(columns, part.constants)
     nodes = phase.nodes.reshape(part.count, degree + 1, n_v)

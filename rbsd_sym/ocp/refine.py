@@ -57,7 +57,7 @@ def _around_switches(
     """Where to divide the intervals at which a bounded Input jumps, as fractions of them."""
     found, widths = dict[int, set[float]](), np.diff(mesh)
     for piece, (low, high) in zip(
-        pieces(plan).values(), path_box(plan.stage, i, "u").T, strict=True
+        pieces(plan).values(), path_box(plan.traced, i, "u").T, strict=True
     ):
         if not np.isfinite(high - low) or high <= low:
             continue

@@ -211,7 +211,7 @@ class Terms:
     link: ca.SX | None
 
 
-def traced(problem: Problem, model: Model, still: Mapping[str, float]) -> tuple[Terms, ...]:
+def trace_phases(problem: Problem, model: Model, still: Mapping[str, float]) -> tuple[Terms, ...]:
     """Trace the phases of a problem on a model.
 
     Arguments:

@@ -20,7 +20,7 @@ from ..model.signals import symbolic
 from ..pipeline import compile_scene
 from ..scene.scene import Scene
 from .problem import Free, Problem
-from .terms import LeftOut, Terms, traced
+from .terms import LeftOut, Terms, trace_phases
 
 
 class Role(Enum):
@@ -57,7 +57,7 @@ class Turn:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class TracedProblem:
     """A problem on the symbols of its model.
 
     Fields:
@@ -246,7 +246,7 @@ def _signal(label: Label, value: Any, t: ca.SX) -> ca.SX:
     return ca.SX(expr)
 
 
-def staged(problem: Problem) -> Stage:
+def trace_problem(problem: Problem) -> TracedProblem:
     """Put a problem on the symbols of its model, with all states where it needs one left out.
 
     Raises:
@@ -255,10 +255,10 @@ def staged(problem: Problem) -> Stage:
     model, notes = problem.model, []
     still = _never_moving(problem)
     try:
-        terms = traced(problem, model, still)
+        terms = trace_phases(problem, model, still)
     except LeftOut as left:
         model = _whole(model, left.name)
-        terms = traced(problem, model, still if problem.starts_fixed else {})
+        terms = trace_phases(problem, model, still if problem.starts_fixed else {})
         notes.append(
             f"'{left.name}' was left out of the minimal model; all {model.n_x} states are back"
         )
@@ -268,8 +268,10 @@ def staged(problem: Problem) -> Stage:
         if isinstance(problem.inputs[label.name], Free)
     )
     cyclic, turns = _returning(problem, model)
-    stage = Stage(problem, model, terms, controls, _constants(problem, model), cyclic, turns)
-    if any(stage.depends(t.start.rows.expr)[1] for t in terms):
+    traced = TracedProblem(
+        problem, model, terms, controls, _constants(problem, model), cyclic, turns
+    )
+    if any(traced.depends(t.start.rows.expr)[1] for t in terms):
         raise ValueError(
             "Problem, start: a condition that depends on an Input to be found, which may jump; "
             "put it on the path"
@@ -278,18 +280,18 @@ def staged(problem: Problem) -> Stage:
     # value if that is handed on like a state.
     links = [t.link for t in terms if t.link is not None]
     at_end = [*links, *(e for t in terms for e in (t.end.rows.expr, t.end_cost))]
-    return replace(stage, carries=stage.depends(*at_end)[1], notes=tuple(notes))
+    return replace(traced, carries=traced.depends(*at_end)[1], notes=tuple(notes))
 
 
-def check_freedom(stage: Stage) -> None:
+def check_freedom(traced: TracedProblem) -> None:
     """Check that anything is to be found.
 
     Raises:
         ValueError: nothing is.
     """
-    if not stage.controls and not stage.constants:
+    if not traced.controls and not traced.constants:
         raise ValueError(
-            f"model '{stage.model.name}': nothing is to be found; make an Input, a Param or a "
+            f"model '{traced.model.name}': nothing is to be found; make an Input, a Param or a "
             "horizon Free"
         )
 
