@@ -92,7 +92,7 @@ class ProblemLibrary:
     def bounds(self, state: Any = None) -> tuple[np.ndarray, ...]:
         """Lower and upper bounds of w, lower and upper bounds of the rows."""
         found = tuple(np.zeros(self.sizes[key]) for key in ("N_W", "N_W", "N_G", "N_G"))
-        self._call("bounds", self._given(state, "N_X"), *found)
+        self._call("bounds", self._given(state, "x"), *found)
         return found
 
     def objective(self, w: Any, p: Any = None) -> float:
@@ -119,10 +119,10 @@ class ProblemLibrary:
         self._checked(
             self._call(
                 "hessian",
-                self._given(w, "N_W"),
-                self._given(p, "N_P"),
+                self._given(w, "w"),
+                self._given(p, "p"),
                 ctypes.c_double(weight),
-                self._given(weights, "N_G"),
+                self._given(weights, "g"),
                 out,
             )
         )
@@ -131,7 +131,7 @@ class ProblemLibrary:
     def inputs(self, w: Any, k: int = 0, tau: float = 0.0) -> np.ndarray:
         """Inputs of a plan on interval k of the first phase, at a fraction of it."""
         u = np.zeros(self.sizes["N_U"])
-        self._call("inputs", self._given(w, "N_W"), ctypes.c_int(k), ctypes.c_double(tau), u)
+        self._call("inputs", self._given(w, "w"), ctypes.c_int(k), ctypes.c_double(tau), u)
         return u
 
     def shift(self, w: Any, lam: Any = None) -> tuple[np.ndarray, np.ndarray | None]:
@@ -141,7 +141,7 @@ class ProblemLibrary:
             ValueError: not exported, since intervals differ, or the horizon is free.
         """
         self._check("shift", "one phase of a given length with equal intervals")
-        w = self._given(w, "N_W")
+        w = self._given(w, "w")
         lam = None if lam is None else np.array(lam, float)
         self._call("shift", w, lam)
         return w, lam
@@ -162,12 +162,12 @@ class ProblemLibrary:
         """
         self._check("solve", "solver=True")
         n, stats = self.sizes["N_W"] + self.sizes["N_G"], _SolverStats()
-        w, u = self._given(w, "N_W"), np.zeros(self.sizes["N_U"])
+        w, u = self._given(w, "w"), np.zeros(self.sizes["N_U"])
         lam = np.zeros(n) if lam is None else _sized(lam, n, "lam")
         code = self._call(
             "solve",
-            self._given(state, "N_X"),
-            self._given(p, "N_P"),
+            self._given(state, "x"),
+            self._given(p, "p"),
             ctypes.c_double(tol),
             ctypes.c_int(max_iterations),
             w,
@@ -202,7 +202,7 @@ class ProblemLibrary:
 
     def _value(self, function: str, size: int, w: Any, p: Any) -> np.ndarray:
         out = np.zeros(max(1, size))
-        self._checked(self._call(function, self._given(w, "N_W"), self._given(p, "N_P"), out))
+        self._checked(self._call(function, self._given(w, "w"), self._given(p, "p"), out))
         return out[:size]
 
     def _pattern(self, function: str, rows: int) -> ca.Sparsity:
@@ -214,10 +214,10 @@ class ProblemLibrary:
             found.append(get()[: size or found[0][-1]])
         return ca.Sparsity(rows, columns, *found)
 
-    def _given(self, value: Any, size: str) -> np.ndarray | None:
-        if value is None and size in ("N_X", "N_P"):
+    def _given(self, value: Any, letter: str) -> np.ndarray | None:
+        if value is None and letter in "xp":
             return None
-        return _sized(value, self.sizes[size], size.removeprefix("N_").lower())
+        return _sized(value, self.sizes[f"N_{letter.upper()}"], letter)
 
     def _check(self, function: str, remedy: str) -> None:
         if function not in self.functions:

@@ -258,29 +258,17 @@ def _called(
             f"{plugin} refuses its options {options[plugin]} "
             f"({str(error).strip().splitlines()[-1]}); check their names"
         ) from error
-    messages = io.StringIO()
+    begun, messages = time.perf_counter(), io.StringIO()
     with contextlib.redirect_stdout(messages), contextlib.redirect_stderr(messages):
         try:
-            begun = time.perf_counter()
-            result = solver(**arguments)
-            seconds = time.perf_counter() - begun
-            stats = solver.stats()
+            result, stats = solver(**arguments), solver.stats()
         except RuntimeError as error:
-            result, stats = None, {"return_status": str(error).strip().splitlines()[-1]}
+            empty = {"f": math.nan, "lam_x": np.zeros(nlp.n), "lam_g": np.zeros(nlp.m)}
+            result = {"x": arguments["x0"], **empty}
+            stats = {"return_status": str(error).strip().splitlines()[-1]}
+    seconds = time.perf_counter() - begun
     if follower and follower.error:
         raise follower.error
-    if result is None:
-        empty = np.zeros(nlp.m)
-        message = str(stats["return_status"])
-        return NlpAnswer(
-            arguments["x0"],
-            math.nan,
-            np.zeros(nlp.n),
-            empty,
-            OptimisationOutcome.failed,
-            message,
-            0,
-        )
     found = {key: np.array(value).reshape(-1) for key, value in result.items()}
     status = stats["return_status"]
     outcome = judge(status)
