@@ -20,8 +20,8 @@ no model: any goes with any. README.md in this folder says how one becomes the o
 
 from .direct_collocation import DirectCollocation as Collocation
 from .direct_shooting import Shooting
-from .export import export_problem
-from .loaded import Code, ProblemLibrary, load_problem
+from .export import Code, export_problem
+from .loaded import ProblemLibrary, load_problem
 from .nlp import Nlp
 from .optimise import optimise, transcribe
 from .plan import Flight, Miss, OptimisationError, Pieces, Solution

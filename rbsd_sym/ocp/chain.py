@@ -17,7 +17,7 @@ from .traced import TracedProblem
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Where a search starts.
+    """Start of a search.
 
     Fields:
         s: constants (n_s,).
@@ -45,7 +45,7 @@ class Chain:
     nlp: Nlp
 
     def segments(self, where: Where) -> dict[int, int]:
-        """Number of the segment there, by phase."""
+        """Return the number of the segment at that place, by phase."""
         return {part.phase: k for k, part in enumerate(self.nlp.segments) if part.where is where}
 
 
@@ -65,6 +65,8 @@ def chained(
     parts: list[Segment] = []
     for i in range(traced.n_phases):
         begin = at_start(traced, i)
+        # Conditions at a start that are bounds of states need no node of their own: they are bounds
+        # of the first block's variables.
         if begin.rows:
             parts.append(_node(traced, i, begin, guess, Where.start))
         body = _body(traced, i, intervals[i], mesh[i], guess, None if begin.rows else begin.box)
@@ -175,6 +177,8 @@ def _node(traced: TracedProblem, i: int, end: End, guess: Guess, where: Where) -
     last = where is Where.end
     at = np.array([1.0 if last else 0.0])
     n_next = 0 if last and i == traced.n_phases - 1 else traced.n_y
+    # A node has the algebraic unknowns as variables, and their equations as rows, only where a
+    # condition, cost or jump depends on them.
     z_cost = last and traced.depends(traced.terms[i].end_cost, *_link(traced, i))[0]
     n_z = traced.model.n_z if end.needs_z or z_cost else 0
     low, high, values = _handed_on(traced, i, guess, at)
@@ -221,6 +225,7 @@ def _node_functions(
     rows, alg = end.value(t, x, z, v, s)
     cost, following = ca.SX(0), w[: traced.n_y]
     if last:
+        # The states after a jump go to the first block of the next phase in place of those before.
         own = traced.over("own", traced.terms[i].end_cost, *_link(traced, i))
         cost, *link = own.call([ca.SX(a) for a in (t, x, z, v, s)])
         following = ca.vertcat(link[0], s, m) if link else following
@@ -254,6 +259,7 @@ def _loosened(part: Segment, box: np.ndarray | None = None) -> Segment:
     chosen = [k for k, row in enumerate(whole.rows) if not row.kind.is_equation]
     n, count = len(chosen), part.count
     w, c = ca.MX.sym("w", part.n_w + 2 * n), ca.MX.sym("c", part.constants.shape[0])
+    # The rows are those of before, evaluated by their Function: only the derivatives are made anew.
     both, _ = part.functions.value(w[: part.n_w], c)
     moved = [] if box is None else [w[int(j)] for j in _bounded(box)]
     both = ca.vertcat(both, *moved)
@@ -281,7 +287,7 @@ def _loosened(part: Segment, box: np.ndarray | None = None) -> Segment:
 
 
 def _bounded(box: np.ndarray) -> np.ndarray:
-    """Variables that have bounds."""
+    """Return the variables that have bounds."""
     return np.flatnonzero(np.isfinite(box).any(axis=1))
 
 
@@ -290,6 +296,7 @@ def _as_rows(part: Segment, box: np.ndarray) -> Segment:
     chosen = _bounded(box)
     low, high = part.low.copy(), part.high.copy()
     for j in chosen:
+        # A block whose bounds differ from those along the path, as at a given start, keeps them.
         own = (low[j] == box[j, 0]) & (high[j] == box[j, 1])
         low[j, own], high[j, own] = -np.inf, np.inf
     moved = (part.variables[j] for j in chosen)

@@ -81,7 +81,7 @@ class DirectCollocation:
 
     @property
     def refinement(self) -> Refinement | None:
-        """When to stop refining."""
+        """Rule for when to stop refining."""
         return (
             None if self.refine is None else Refinement(self.refine, self.rounds, self.degree + 1)
         )
@@ -104,10 +104,14 @@ class DirectCollocation:
             slope = sum(on.rule.slope[j, k] * x for k, x in enumerate(on.states))
             rows += [slope - step * rate, alg, path]
             cost += step * on.rule.weights[j] * q
+        # Conditions of states, unknowns and Inputs are bounds of variables at the points; between
+        # points they are rows, like all others.
         extra = [k / (self.path_points + 1) for k in range(1, self.path_points + 1)]
         for tau in extra:
             x, z = on.between(np.array([tau]))
             rows.append(limit.value(on.time(tau), x, z, on.inputs(tau), on.s))
+        # Legendre points leave out the end, where the polynomial through all nodes is evaluated;
+        # the last Radau point is the end, and the weights pick it.
         x_end = sum(on.rule.end[k] * x for k, x in enumerate(on.states))
         handed = on.inputs(1.0) if traced.n_m else type(on.w)(0, 1)
         following = ca.vertcat(x_end, on.s, handed)

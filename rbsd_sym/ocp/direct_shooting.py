@@ -68,7 +68,7 @@ class Shooting:
 
     @property
     def refinement(self) -> Refinement | None:
-        """When to stop refining."""
+        """Rule for when to stop refining."""
         return None if self.refine is None else Refinement(self.refine, self.rounds, self.order)
 
     @property
@@ -202,6 +202,6 @@ def _combined(row: np.ndarray, values: list[Any]) -> Any:
 
 
 def _start_unknowns(traced: TracedProblem) -> np.ndarray:
-    """Where Newton's method for the algebraic unknowns begins (n_z,)."""
+    """Start of Newton's method for the algebraic unknowns (n_z,)."""
     values = [float(value) for value in traced.parameters(traced.s_start)[: traced.model.n_p]]
     return traced.model.dae.start_values(np.array(values))[1]

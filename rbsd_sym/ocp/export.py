@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,15 +41,34 @@ _FUNCTIONS = (
     "defaults",
     "inputs",
 )
-_CODES = (
-    ("OPTIMAL", 0, "or the function was evaluated"),
-    ("ITERATION_LIMIT", 1, "a step nearer, and to be used as such with max_iterations 1"),
-    ("INFEASIBLE", 2, "the linearised conditions contradict each other; soften those of states"),
-    ("STALLED", 3, "no step lowers cost and violation; see stats for how near it is"),
-    ("NOT_FINITE", 4, "a function or derivative is not finite"),
-    ("BAD_ARGUMENT", 5, "NULL where there is none, numbers that are not finite, tol not above 0"),
-    ("FAILED", 6, "a function could not be evaluated"),
-)
+
+
+class Code(IntEnum):
+    """Return code of an exported solver, in C and as `code` of the result in Python.
+
+    Only `optimal` says that the plan is a solution. After `iteration_limit`, which is what a real
+    time loop with one iteration a call sees, the plan is a step nearer; after `infeasible` and
+    `stalled` look at violation and optimality. The header explains each code.
+    """
+
+    optimal = 0
+    iteration_limit = 1
+    infeasible = 2
+    stalled = 3
+    not_finite = 4
+    bad_argument = 5
+    failed = 6
+
+
+_MEANING = {
+    Code.optimal: "or the function was evaluated",
+    Code.iteration_limit: "a step nearer, and to be used as such with max_iterations 1",
+    Code.infeasible: "the linearised conditions contradict each other; soften those of states",
+    Code.stalled: "no step lowers cost and violation; see stats for how near it is",
+    Code.not_finite: "a function or derivative is not finite",
+    Code.bad_argument: "NULL where there is none, numbers that are not finite, tol not above 0",
+    Code.failed: "a function could not be evaluated",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,12 +199,16 @@ def _sizes(made: Parametric, solver: bool) -> Sizes:
         "NNZ_JAC": jac.nnz(),
         "NNZ_HESS": hess.nnz(),
     }
+    # Work memory of the functions is on the stack, at most one function's at a time, and one block
+    # of the Jacobian.
     stack = 8 * max(f.sz_w() + f.sz_iw() + f.sz_arg() + f.sz_res() for f in calls)
     stack += 8 * max(block.jacobian.nnz_out(0) for block in made.blocks)
     if solver:
         qp = _quadratic_program(made.name, jac, hess)
         own = 8 * (nlp.n + nlp.m) + 2 * nlp.n + jac.nnz() + hess.nnz()
         numbers |= {"N_WORK": own + qp.sz_w(), "N_IWORK": max(1, qp.sz_iw())}
+    # A plan that is moved on by an interval has its values at the same places of the mesh only if
+    # all intervals are equally long, and stay so.
     mesh = made.chain.mesh[0]
     equal = bool(np.ptp(np.diff(mesh)) < 1e-12)
     fixed = not any(constant.role is Role.horizon for constant in traced.constants)
@@ -269,6 +293,7 @@ def _kernel(name: str, k: int, part: str) -> str:
 
 def _marks(made: Parametric, sizes: Sizes, method: Method) -> dict[str, Any]:
     traced, part = made.traced, made.chain.nlp.segments[0]
+    # Places of the states in a block: the last block of a moved plan gets those at the end.
     offsets, at = [0], traced.n_y
     widths = {"u": traced.n_v, "x": traced.model.n_x, "z": traced.model.n_z}
     for group, _ in made.chain.intervals[0].variables:
@@ -373,12 +398,14 @@ def _header(made: Parametric, sizes: Sizes) -> str:
 
 def _codes(upper: str, solver: bool) -> list[tuple[str, int, str]]:
     """Codes of the solver, or those of the functions alone."""
-    chosen = _CODES if solver else (_CODES[0], _CODES[-1])
-    return [(f"{upper}_{key}", value, f" /* {words} */") for key, value, words in chosen]
+    chosen = Code if solver else (Code.optimal, Code.failed)
+    return [
+        (f"{upper}_{code.name.upper()}", code.value, f" /* {_MEANING[code]} */") for code in chosen
+    ]
 
 
 class _LabelGroup(NamedTuple):
-    """Numbers of one kind in C: the letter in their constants, a title, what is told of each."""
+    """Numbers of one kind in C: the letter in their constants, title and columns of their table."""
 
     letter: str
     head: str

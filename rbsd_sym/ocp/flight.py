@@ -139,6 +139,8 @@ def flown(chain: Chain, plan: Plan, degree: int) -> tuple[Flight, np.ndarray]:
         FlightFailed: IDAS stopped.
     """
     traced, simulator = plan.traced, IntervalSimulator(chain, degree)
+    # Errors are relative to the size of states of one unit: a state that stays near zero, such as
+    # a lateral deflection, is compared with how far the others move.
     size = _sizes(traced, np.hstack([phase.saved_x for phase in plan.phases]))[:, None]
     x, z = plan.phases[0].x[:, 0], plan.phases[0].saved_z[:, 0]
     errors, moved = [], []

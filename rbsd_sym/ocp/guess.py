@@ -68,6 +68,7 @@ def from_conditions(traced: TracedProblem) -> Guess:
 
     def x(i: int, at: np.ndarray) -> np.ndarray:
         before, after = ends[i], ends[i + 1]
+        # A straight line between two quaternions would leave the unit sphere.
         found = before[:, None] + (after - before)[:, None] * at
         for turn in traced.turns:
             rows = list(turn.rows)

@@ -38,6 +38,7 @@ def meshes(intervals: Intervals, n_phases: int) -> tuple[np.ndarray, ...]:
         numbers = all(isinstance(part, (int, np.integer)) for part in per_phase)
         if flat and n_phases == 1 and not (numbers and per_phase[0] != 0):
             per_phase = [per_phase]
+    # By now [0, 0.2, 1] of a single phase is one entry, and [10, 20] an entry for each of two.
     if len(per_phase) != n_phases:
         raise ValueError(
             f"intervals: {len(per_phase)} entries for {n_phases} phases; give one number, or an "
@@ -179,7 +180,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Refinement:
-    """When to stop refining: error of one interval, rounds; and the order of its error."""
+    """Rule for when to stop refining: error of one interval, its order, and rounds at most."""
 
     tolerance: float
     rounds: int
@@ -187,7 +188,7 @@ class Refinement:
 
 
 class Method(Protocol):
-    """A transcription: gives the block of an interval. To add one, write a class with these."""
+    """A transcription, which writes the block of an interval; a class with these can be one."""
 
     @property
     def intervals(self) -> Intervals:
@@ -201,11 +202,11 @@ class Method(Protocol):
 
     @property
     def refinement(self) -> Refinement | None:
-        """When to stop refining, None for one solution."""
+        """Rule for when to stop refining, None for one solution."""
         ...
 
     def interval(self, traced: TracedProblem, i: int) -> Interval:
-        """The block of an interval of phase i, whose variables begin with y and input groups."""
+        """Write the block of an interval of phase i; its variables are y, input groups, others."""
         ...
 
 

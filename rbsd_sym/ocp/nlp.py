@@ -26,7 +26,7 @@ _PARTS = ("value", "jacobian", "gradient", "hessian")
 
 
 class RowKind(Enum):
-    """What a row of a block says; the value is the word for it in the row's name."""
+    """Meaning of a row of a block; the value is the word for it in the row's name."""
 
     motion = "motion"  # what an interval hands on is what comes next
     link = "link"  # what a node hands on is what comes next
@@ -42,7 +42,7 @@ class RowKind(Enum):
 
     @property
     def is_equation(self) -> bool:
-        """Whether it belongs to the equations of motion, which no user asked for."""
+        """Whether it is one of the equations of motion, and not a condition of the problem."""
         return self in (RowKind.motion, RowKind.link, RowKind.rate, RowKind.balance)
 
 
@@ -50,7 +50,7 @@ _BARE = (RowKind.copy, RowKind.path, RowKind.limit, RowKind.end)  # named as wha
 
 
 class Where(Enum):
-    """Where a segment is in its phase; the value is the word for it in reports."""
+    """Place of a segment in its phase; the value is the word for it in reports."""
 
     start = "start"
     path = "path"
@@ -253,6 +253,8 @@ class Nlp:
     @property
     def structure(self) -> dict[str, Any]:
         """Sizes of the chain as fatrop asks for them: N, nx, nu, ng."""
+        # "States" are y, "controls" all other variables of a block, so that rows between them count
+        # as path constraints.
         nx, nu, ng = [], [], []
         for part in self.segments:
             nx += [part.n_y] * part.count
@@ -289,6 +291,8 @@ class Nlp:
                 value = ca.vertcat(following - value[: part.n_next, :], value[part.n_next :, :])
             values.append(ca.vec(value))
             f += ca.sum2(cost)
+            # One Function a segment, mapped over its blocks: the graph does not grow with their
+            # number.
             own = _mapped(block.gradient, part.count)(blocks[k], c)
             gradients.append(ca.vec(own))
             jacobian.append(_nonzeros(_mapped(block.jacobian, part.count)(blocks[k], c)))

@@ -195,7 +195,7 @@ def _intervals(traced: TracedProblem, method: Method, compiled: bool) -> list[In
 
 
 def _team(progress: Progress | None, lam: dict[str, np.ndarray]) -> list[Solver]:
-    """Solvers to be tried in turn."""
+    """Return the solvers to be tried in turn."""
     # Fatrop is the faster one, but has neither progress nor warm starts, and gives up where IPOPT
     # restores feasibility.
     return [Ipopt()] if progress or lam else [Fatrop(max_iterations=_PATIENCE), Ipopt()]
@@ -214,6 +214,8 @@ def _explained(
     The elastic program lets conditions be missed. If none needs to be, the problem is tried once
     more from there.
     """
+    # Solvers only say that they gave up. With slacks any motion from the start is feasible, and
+    # those that are not zero name the conditions that contradict each other.
     loose = chained(chain.traced, chain.intervals, chain.mesh, start, elastic=True)
     second = solver.solve(loose.nlp, {}, None)
     if not second.outcome.ok:

@@ -69,6 +69,8 @@ def parametric(problem: Problem, method: Method, guess: Any = None) -> Parametri
     check_freedom(first)
     state = from_conditions(first).x(0, np.zeros(1))[:, 0]
     fixed = _measured(problem, first, state)
+    # `own` gives the variables and their bounds, `wide` the functions: its chain has the same
+    # blocks, with all Params and horizons among the constants.
     own, wide = trace_problem(fixed), trace_problem(_widened(fixed))
     mesh = meshes(method.intervals, own.n_phases)
     start, _ = first_guess(own, guess, mesh, method.input_degree)
@@ -160,6 +162,7 @@ class _Lowering:
         weight, weights = kind.sym("weight"), kind.sym("weights", len(rows))
         zeros = kind.zeros(n_rows - len(rows))
         every = _placed(kind, n_rows, rows, sign * weights, _without(n_rows, rows), zeros)
+        # The solver shifts the Hessian's diagonal, so that its pattern must hold all of it.
         hessian = block.hessian(whole, c, weight, every)[kept, kept]
         pattern = hessian.sparsity() + ca.Sparsity.diag(len(kept))
         symbols, more = [w, c, p], [w, c, p, weight, weights]

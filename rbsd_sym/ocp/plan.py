@@ -1,4 +1,4 @@
-"""What an optimisation gives: the plan, read from the numbers of a program, and its solution."""
+"""Results: the plan, read from the numbers of a program, and the solution of a problem."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class PhasePlan:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a program's variables mean: constants s, and the motion of each phase."""
+    """Meaning of a program's variables: constants s, and the motion of each phase."""
 
     traced: TracedProblem
     s: np.ndarray
@@ -162,7 +162,7 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Raw:
-    """What a warm start needs: the program's answer on its mesh, and the degree of the Inputs."""
+    """Data for a warm start: the program's answer on its mesh, and the degree of the Inputs."""
 
     answer: NlpAnswer
     degree: int

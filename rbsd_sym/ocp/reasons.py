@@ -27,6 +27,7 @@ def misses(chain: Chain, x: np.ndarray) -> list[Miss]:
         scale = 1 + np.abs(np.where(values < low, low, np.where(np.isfinite(high), high, 0.0)))
         for k in np.flatnonzero(gap / scale > _MISSED):
             bound = low[k] if values[k] < low[k] else high[k]
+            # From the number of a variable or row to its segment, its block and its place there.
             j = max(i for i, first in enumerate(nlp.offsets[:-1]) if first[side] <= k)
             part = nlp.segments[j]
             size = part.n_g if side else part.n_w
@@ -70,6 +71,7 @@ def elastic_report(chain: Chain, x: np.ndarray) -> list[str]:
             for (k, row), (other, _) in zip(slacks[:half], slacks[half:], strict=True):
                 up, down = columns[k, block], columns[other, block]
                 low, high = part.row_low[row - part.n_next], part.row_high[row - part.n_next]
+                # At the optimum one of them is zero: they are what the row lacks to its bound.
                 bound, value = (low, low - up) if up > down else (high, high + down)
                 miss = _at(chain, s, j, block, part.rows[row], float(value), float(bound))
                 known = found.get((part.phase, miss.what))
@@ -104,7 +106,7 @@ def between_points(chain: Chain, x: np.ndarray, plan: Plan, degree: int) -> tupl
 
 
 def _excess(limit: Limits, values: np.ndarray) -> np.ndarray:
-    """How far values (n, points) are outside, relative to the distance of the bounds, or to one."""
+    """Excess of values (n, points), relative to the distance of the bounds, or to the only one."""
     low, high = limit.low[:, None], limit.high[:, None]
     gap = np.maximum(np.maximum(low - values, values - high), 0.0)
     both = np.isfinite(high - low) & (high > low)

@@ -43,7 +43,7 @@ def refined(
 
 
 def _pieces(error: float, wanted: Refinement) -> int:
-    """Into how many an interval is divided, so that each is as good as wanted."""
+    """Number of parts that an interval is divided into, so that each is as good as wanted."""
     if not error > wanted.tolerance:
         return 1
     # The error of an interval falls with its length to the power of the order.
@@ -54,7 +54,7 @@ def _pieces(error: float, wanted: Refinement) -> int:
 def _around_switches(
     plan: Plan, place: int, i: int, mesh: np.ndarray, tolerance: float
 ) -> dict[int, np.ndarray]:
-    """Where to divide the intervals at which a bounded Input jumps, as fractions of them."""
+    """Places at which to divide the intervals where a bounded Input jumps, as fractions of them."""
     found, widths = dict[int, set[float]](), np.diff(mesh)
     for piece, (low, high) in zip(
         pieces(plan).values(), path_box(plan.traced, i, "u").T, strict=True

@@ -19,7 +19,12 @@ from .nlp import Nlp
 
 
 class OptimisationOutcome(Enum):
-    """How an optimisation ended, public as `rs.ocp.Outcome`; the value is the message."""
+    """How an optimisation ended, public as `rs.ocp.Outcome`; the value is the message.
+
+    `solution.outcome.ok` is true for the first three: there is a plan that meets the conditions.
+    Of an `unstable_across_reduction` the plan holds only while nothing disturbs what the minimal
+    model left out.
+    """
 
     optimal = "optimal"
     acceptable = "the solver stopped near an optimum, short of its tolerance"

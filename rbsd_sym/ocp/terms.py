@@ -69,6 +69,7 @@ class Names:
             column = getattr(dae, group)
             for i, label in enumerate(getattr(dae, f"{group}_labels")):
                 self._variables[label.name] = Named(column[i], (label,), (), (group, i))
+        # Labels of the scene's own states come first, then those in axes of a plane, if there are.
         self._full = dae.expansion.labels if dae.expansion else dae.x_labels
         turns = {turn.owner: turn for turn in reversed(dae.rotations)}  # the scene's own come first
         self.orientations = {
@@ -100,6 +101,7 @@ class Names:
             return self._variables[name]
         if name in {d.name for d in model.dropped}:
             raise LeftOut(name)
+        # States that a minimal model computes from others can be used in expressions all the same.
         if name in model.left_out:
             row = [label.name for label in self._full].index(name)
             return Named(model.expression("states")[row], (self._full[row],))
@@ -247,7 +249,7 @@ def _link(model: Model, names: Names, phase: Phase, where: str) -> ca.SX | None:
     for name, expression in phase.link.items():
         group, i = names.find(name).place or ("", 0)
         if group != "x":
-            raise ValueError(f"{where}, link: '{name}' is no state; only states jump")
+            raise ValueError(f"{where}, link: '{name}' is not a state; only states jump; name one")
         states[i] = names.trace(expression, f"{where}, link '{name}'")
     return ca.vertcat(*states)
 
@@ -286,6 +288,7 @@ class _Tracer:
             if found.place and found.place[0] in groups:
                 box[found.place] = (float(low[0]), float(high[0]))
                 continue
+            # An orientation that is given has three degrees of freedom, not four or nine.
             turn = names.orientations.get(name)
             if turn and (low == high).all():
                 target = _quaternion(low, place)
@@ -306,6 +309,8 @@ class _Tracer:
         """
         kept = []
         for label, expr, low, high in rows:
+            # A row that depends on nothing would be a zero row of the Jacobian; where constraints
+            # are dependent, solvers need not converge.
             settled = ca.substitute(expr, self._symbols, self._numbers)
             if ca.symvar(settled):
                 kept.append((label, expr, float(low), float(high)))
@@ -435,6 +440,8 @@ def _within(terms: Terms, names: Names, where: str) -> Terms:
     changed = {}
     for title in ("start", "end"):
         own: Conditions = getattr(terms, title)
+        # Bounds along the path hold at the ends, too, where they would otherwise be missing: the
+        # states there are variables of their own.
         box = dict(terms.path.box)
         for place, (low, high) in own.box.items():
             along = box.get(place, _NONE)

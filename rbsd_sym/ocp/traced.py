@@ -24,7 +24,7 @@ from .terms import LeftOut, Terms, trace_phases
 
 
 class Role(Enum):
-    """What a constant of a problem is."""
+    """Meaning of a constant of a problem."""
 
     horizon = auto()
     parameter = auto()
