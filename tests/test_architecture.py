@@ -89,10 +89,6 @@ def test_four_files_stand_at_the_root() -> None:
     assert files == {"__init__.py", "__main__.py", "pipeline.py", "version.py"}
 
 
-def test_every_room_has_a_floor() -> None:
-    assert {unit_of(path) for path in FILES} == set(FLOOR)
-
-
 def test_no_two_files_and_no_two_classes_of_one_name() -> None:
     stems = Counter(path.stem for path in FILES if path.stem != "__init__")
     classes = Counter(
@@ -117,7 +113,6 @@ OTHER_TEXTS = {
     "__main__.py": "arguments of the command line, names of modules",
     "exports/dop853_text.py": "text of C",
     "exports/header.py": "text of C",
-    "exports/load.py": "the command of a compiler",
     "exports/simulator_casadi.py": "text of C",
     "exports/simulator_texts.py": "text of C",
     "study/log.py": "lines of a file",
@@ -158,36 +153,6 @@ def test_sites_do_not_multiply(text: str) -> None:
 
 def test_formatting_by_hand_is_for_matrices() -> None:
     assert sum(path.read_text().count("fmt: " + "skip") for path in FILES) <= 2
-
-
-def test_no_two_classes_share_a_name() -> None:
-    found: dict[str, list[str]] = {}
-    for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ClassDef):
-                found.setdefault(node.name, []).append(path.name)
-    assert {name: paths for name, paths in found.items() if len(paths) > 1} == {}
-
-
-def test_private_names_stay_in_their_files() -> None:
-    for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.level:
-                assert not [a.name for a in node.names if re.match(r"_[^_]", a.name)], path
-
-
-TEXT_METHODS = {"startswith", "endswith", "removeprefix", "removesuffix", "partition", "rpartition",
-                "rsplit"}  # fmt: skip
-
-
-@pytest.mark.parametrize("path", sorted((PACKAGE / "ocp").glob("*.py")), ids=lambda p: p.stem)
-def test_names_are_not_taken_apart(path: Path) -> None:
-    """Facts come from labels, rows and rotations, never from the text of a name."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-            given = [a.value for a in node.args if isinstance(a, ast.Constant)]
-            own = node.func.attr if node.func.attr != "split" else f"split({given})"
-            assert own not in {*TEXT_METHODS, "split(['.'])", "split([' '])"}, node.lineno
 
 
 def test_public_names_have_docstrings() -> None:
