@@ -21,37 +21,45 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 FLOOR_ROW = re.compile(r"\| (\d+) \| ([\w`, ]+) \|")
 
 
-def floors(readme: Path) -> dict[str, int]:
-    """Floor of each unit, from the table of floors in a README."""
-    rows = FLOOR_ROW.findall(readme.read_text(encoding="utf-8"))
-    return {unit: int(floor) for floor, units in rows for unit in re.findall(r"\w+", units)}
+def floors(house: Path) -> dict[str, int]:
+    """Floor of each room of a folder, from the table of floors in its README."""
+    rows = FLOOR_ROW.findall((house / "README.md").read_text(encoding="utf-8"))
+    return {room: int(floor) for floor, rooms in rows for room in re.findall(r"\w+", rooms)}
 
 
-FLOOR = floors(PACKAGE / "README.md")
+HOUSES = {house: found for p in PACKAGE.rglob("README.md") if (found := floors(house := p.parent))}
 
 
-def unit_of(path: Path) -> str:
-    """The unit a file belongs to: its module, or the folder below the package."""
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+def rooms(house: Path) -> dict[str, list[Path]]:
+    """Files of each room: a file of the folder, or all files of a folder in it."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(house.rglob("*.py")):
+        found.setdefault(path.relative_to(house).parts[0].removesuffix(".py"), []).append(path)
+    return found
 
 
-def imported_units(path: Path) -> set[str]:
-    """Units of the package that a file imports, beyond its own folder."""
-    depth = len(path.relative_to(PACKAGE).parts) - 1
-    units = set()
+def imported_rooms(house: Path, path: Path) -> set[str]:
+    """Rooms that a file in one of them imports, beyond its own."""
+    depth, found = len(path.relative_to(house).parts) - 1, set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.level == depth + 1:
-            units |= {node.module.split(".")[0]} if node.module else {a.name for a in node.names}
-    return units
+            found |= {node.module.split(".")[0]} if node.module else {a.name for a in node.names}
+    return found
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_go_down_only(path: Path) -> None:
-    unit = unit_of(path)
-    if unit == "__init__":
-        return
-    for other in imported_units(path):
-        assert FLOOR[other] < FLOOR[unit], f"{unit} (floor {FLOOR[unit]}) imports {other}"
+def test_houses() -> None:
+    """The package and the folders that have floors of their own."""
+    assert {house.relative_to(ROOT).as_posix() for house in HOUSES} >= {"rbsd_sym", "rbsd_sym/ocp"}
+    assert len(rooms(PACKAGE / "ocp")) <= 20
+
+
+@pytest.mark.parametrize("house", HOUSES, ids=lambda house: house.name)
+def test_imports_go_down_only(house: Path) -> None:
+    floor, files = HOUSES[house], rooms(house)
+    assert set(floor) == set(files)
+    for room, paths in files.items():
+        for other in {name for path in paths for name in imported_rooms(house, path)}:
+            assert floor[other] < floor[room], f"{room} (floor {floor[room]}) imports {other}"
 
 
 def test_absolute_imports_of_the_package_are_not_used() -> None:
@@ -81,10 +89,6 @@ def test_four_files_stand_at_the_root() -> None:
     assert files == {"__init__.py", "__main__.py", "pipeline.py", "version.py"}
 
 
-def test_every_room_has_a_floor() -> None:
-    assert {unit_of(path) for path in FILES} == set(FLOOR)
-
-
 def test_no_two_files_and_no_two_classes_of_one_name() -> None:
     stems = Counter(path.stem for path in FILES if path.stem != "__init__")
     classes = Counter(
@@ -109,7 +113,6 @@ OTHER_TEXTS = {
     "__main__.py": "arguments of the command line, names of modules",
     "exports/dop853_text.py": "text of C",
     "exports/header.py": "text of C",
-    "exports/load.py": "the command of a compiler",
     "exports/simulator_casadi.py": "text of C",
     "exports/simulator_texts.py": "text of C",
     "study/log.py": "lines of a file",

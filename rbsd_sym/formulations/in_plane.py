@@ -97,7 +97,14 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
             for m in flat.motions
         ),
         balances=(),
-        rotations=(),
+        # Rows of the scene's rotations, then those of the same rotations in axes of the plane.
+        rotations=(
+            *full.rotations,
+            *(
+                replace(r, coordinates=_plus(r.coordinates, n), velocity=_plus(r.velocity, n))
+                for r in flat.rotations
+            ),
+        ),
         notes=(*flat.notes, f"the motion is planar, with normal ({normal})"),
         expansion=Expansion(
             states,

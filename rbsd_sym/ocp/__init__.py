@@ -15,26 +15,19 @@
     solution = rs.ocp.optimise(problem, rs.ocp.Collocation(30, degree=4, refine=1e-6))
 
 A `Problem` knows no method, `Collocation` and `Shooting` know no solver, `Ipopt` and `Fatrop` know
-no model: any goes with any. On the way
-
-    Problem --framed--> Frame --interval--> Interval --chained--> Chain (Nlp) --solve--> Answer
-                                                 Solution <--flown-- Plan <--read--+
-
-a `Frame` is the problem on the symbols of its model, an `Interval` one stage of the transcription
-with exact derivatives, a `Chain` all stages, a `Plan` what the numbers of the answer mean.
+no model: any goes with any. README.md in this folder says how one becomes the other.
 """
 
-from .between import Miss
-from .direct_collocation import Collocation
+from .direct_collocation import DirectCollocation as Collocation
 from .direct_shooting import Shooting
-from .export import export_problem
-from .flight import Flight
-from .loaded import Code, ProblemLibrary, load_problem
+from .export import Code, export_problem
+from .loaded import ProblemLibrary, load_problem
 from .nlp import Nlp
 from .optimise import optimise, transcribe
+from .plan import Flight, Miss, OptimisationError, Pieces, Solution
 from .problem import Bound, Free, Phase, Problem
-from .solution import OptimisationError, Pieces, Solution
-from .solvers import Fatrop, Ipopt, Iteration, Outcome
+from .solvers import Fatrop, Ipopt, Iteration
+from .solvers import OptimisationOutcome as Outcome
 
 __all__ = [
     "Bound",

@@ -10,11 +10,10 @@ import numpy as np
 
 from ..base import tableau
 from ..integrators import Rosenbrock
-from .between import limits
-from .interval import Interval, Refinement, check_method, input_blocks, inputs_at, lagrange
-from .mesh import Intervals, control_nodes, same_input
-from .nlp import StageFunctions
-from .stage import Frame
+from .conditions import limits
+from .mesh import Interval, Intervals, Refinement, check_method, input_groups, inputs_at
+from .nlp import BlockFunctions, RowKind
+from .traced import TracedProblem
 
 _RK4 = np.array(
     [[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.0, 0], [1 / 6, 1 / 3, 1 / 3, 1 / 6]]
@@ -25,12 +24,14 @@ _HIGHEST = 5  # degree of the Inputs
 
 @dataclass(frozen=True)
 class Shooting:
-    """States at the ends of intervals are variables; between them the motion is integrated.
+    """Multiple shooting: each interval is integrated from states that are variables.
 
     Explicit steps are of the classical method of order 4, or of order 8 [Hairer, Norsett, Wanner
     1993]; they are stable while step times frequency stays below 2.8, or 5.5. `Rosenbrock` is for
-    stiff models and algebraic unknowns; it chooses its steps, which IPOPT's Newton steps notice
-    unless its tolerances are tight. Conditions along the path hold at the ends of steps.
+    stiff models and algebraic unknowns. It chooses its own steps; since the result is not smooth
+    where their number changes, its tolerances should be much smaller than the solver's. Conditions
+    along the path hold at the ends of steps. For example `optimise(problem, Shooting(20, steps=2,
+    order=8))`.
 
     Arguments:
         intervals: as in `Collocation`.
@@ -63,51 +64,52 @@ class Shooting:
                 f"Shooting: integrator {self.integrator!r}; give Rosenbrock(rtol, atol), or steps "
                 "and order of an explicit method"
             )
-        check_method(self, _HIGHEST)
+        check_method("Shooting", self, _HIGHEST)
 
     @property
     def refinement(self) -> Refinement | None:
-        """When to stop refining."""
+        """Rule for when to stop refining."""
         return None if self.refine is None else Refinement(self.refine, self.rounds, self.order)
 
     @property
     def _taus(self) -> np.ndarray:
         return np.arange(self.steps + 1) / self.steps
 
-    def interval(self, frame: Frame, i: int) -> Interval:
-        """A stage of phase i: w = [y; Inputs at their nodes].
+    def interval(self, traced: TracedProblem, i: int) -> Interval:
+        """Write the block of phase i: w = [y; Inputs at their nodes].
 
         Raises:
             ValueError: explicit steps for a model with algebraic unknowns.
         """
-        model = frame.model
+        model = traced.model
         if model.n_z and self.integrator is None:
             raise ValueError(
                 f"model '{model.name}': {model.n_z} algebraic unknowns, which explicit steps do "
                 "not solve; use Shooting(integrator=Rosenbrock()) or Collocation()"
             )
-        n_u = frame.n_v * (self.input_degree + 1)
-        w, c = ca.MX.sym("w", frame.n_y + n_u), ca.MX.sym("c", 2)
-        x, s, _ = frame.split(w[: frame.n_y])
-        nodes = w[frame.n_y :]
-        t0, length = frame.span(i, s)
+        n_u = traced.n_v * (self.input_degree + 1)
+        w, c = ca.MX.sym("w", traced.n_y + n_u), ca.MX.sym("c", 2)
+        x, s, _ = traced.split(w[: traced.n_y])
+        nodes = w[traced.n_y :]
+        t0, length = traced.span(i, s)
         start, step = t0 + length * c[1], length * c[0]
         march = self._rosenbrock if self.integrator else self._explicit
-        states, unknowns, cost = march(frame, i, x, nodes, s, start, step)
-        limit, rows = limits(frame, i, self.input_degree), []
+        states, unknowns, cost = march(traced, i, x, nodes, s, start, step)
+        limit, rows = limits(traced, i, self.input_degree), []
         for j, tau in enumerate(self._taus[1:]):
-            v = inputs_at(same_input(self.input_degree, tau)[0], nodes, frame.n_v)
+            v = inputs_at(self.input_degree, tau, nodes, traced.n_v)
             at = (start + step * tau, states[j + 1], unknowns[j + 1], v, s)
-            # Bounds of states at the end are those of the variables that come next.
-            rows.append(limit.value(*at) if tau < 1 else frame.point(i)(*at)[3])
-        v_end = inputs_at(same_input(self.input_degree, 1.0)[0], nodes, frame.n_v)
-        handed = v_end if frame.n_m else ca.MX(0, 1)
+            # States at the end of the interval are the next block's variables, and have their
+            # bounds there; rows for them here would be redundant.
+            rows.append(limit.value(*at) if tau < 1 else traced.point(i)(*at)[3])
+        v_end = inputs_at(self.input_degree, 1.0, nodes, traced.n_v)
+        handed = v_end if traced.n_m else ca.MX(0, 1)
         following = ca.vertcat(states[-1], s, handed)
         dense = ca.Function("dense", [w, c], [ca.horzcat(*states[:-1]), ca.horzcat(*unknowns[:-1])])
         return Interval(
-            StageFunctions.derived("interval", w, c, following, ca.vertcat(*rows), cost),
-            variables=input_blocks(self.input_degree),
-            rows=(*(("between", float(tau)) for tau in self._taus[1:-1]), ("path", 1.0)),
+            BlockFunctions.derived("interval", w, c, following, ca.vertcat(*rows), cost),
+            variables=input_groups(self.input_degree),
+            rows=(*((RowKind.limit, float(tau)) for tau in self._taus[1:-1]), (RowKind.path, 1.0)),
             saved=self._taus[:-1],
             dense=dense,
             limits=limit,
@@ -116,25 +118,25 @@ class Shooting:
         )
 
     def _explicit(
-        self, frame: Frame, i: int, x: Any, nodes: Any, s: Any, start: Any, step: Any
+        self, traced: TracedProblem, i: int, x: Any, nodes: Any, s: Any, start: Any, step: Any
     ) -> tuple[list[Any], list[Any], Any]:
         """States and unknowns at the ends of steps, and the cost of the interval."""
-        one, cost, states = self._step(frame, i), ca.MX(0), [x]
+        one, cost, states = self._step(traced, i), ca.MX(0), [x]
         for tau in self._taus[:-1]:
             x, q = one(float(tau), x, nodes, s, start, step)
             cost += q
             states.append(x)
         return states, [ca.MX(0, 1)] * len(states), cost
 
-    def _step(self, frame: Frame, i: int) -> ca.Function:
-        """(where on the interval, x, nodes, s, start, length) -> x and cost after one step."""
-        point = frame.point(i)
+    def _step(self, traced: TracedProblem, i: int) -> ca.Function:
+        """Function (place on the interval, x, nodes, s, start, length) -> x after a step, cost."""
+        point = traced.point(i)
         kind = ca.SX if point.is_a("SXFunction") else ca.MX
         sizes = {
             "tau": 1,
-            "x": frame.model.n_x,
-            "nodes": frame.n_v * (self.input_degree + 1),
-            "s": frame.n_s,
+            "x": traced.model.n_x,
+            "nodes": traced.n_v * (self.input_degree + 1),
+            "s": traced.n_s,
             "start": 1,
             "length": 1,
         }
@@ -145,7 +147,7 @@ class Shooting:
         z = kind(0, 1)
         for row, node in zip(table[:-1], when, strict=True):
             place = tau + share * node
-            v = inputs_at(lagrange(control_nodes(self.input_degree), place), nodes, frame.n_v)
+            v = inputs_at(self.input_degree, place, nodes, traced.n_v)
             moved = x + share * length * _combined(row, [slope for slope, _ in slopes])
             rate, _, q, _ = point(start + length * place, moved, z, v, s)
             slopes.append((rate, q))
@@ -155,24 +157,26 @@ class Shooting:
 
     @property
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of coefficients, one a stage and one for the end, and the stages' nodes."""
+        """Rows of Runge-Kutta coefficients, the last one for the end; and the nodes."""
         if self.order == 4:
             return _RK4, _RK4_NODES
         n = tableau.N_STAGES
         return tableau.A[: n + 1, :n], tableau.C[:n]
 
     def _rosenbrock(
-        self, frame: Frame, i: int, x: Any, nodes: Any, s: Any, start: Any, step: Any
+        self, traced: TracedProblem, i: int, x: Any, nodes: Any, s: Any, start: Any, step: Any
     ) -> tuple[list[Any], list[Any], Any]:
         """States and unknowns at the points of an interval, and its cost, by CasADi's method."""
-        model, point, method = frame.model, frame.point(i), self.integrator or Rosenbrock()
+        model, point, method = traced.model, traced.point(i), self.integrator or Rosenbrock()
         kind = ca.SX if point.is_a("SXFunction") else ca.MX
-        n_u = frame.n_v * (self.input_degree + 1)
+        n_u = traced.n_v * (self.input_degree + 1)
+        # Time runs over the interval as tau from 0 to 1, since CasADi's integrator has a fixed end
+        # and the length may be free: x' and the cost are multiplied by the length.
         own_x, own_z = kind.sym("x", model.n_x), kind.sym("z", model.n_z)
-        p, tau = kind.sym("p", n_u + frame.n_s + 2), kind.sym("tau")
-        v = inputs_at(lagrange(control_nodes(self.input_degree), tau), p[:n_u], frame.n_v)
+        p, tau = kind.sym("p", n_u + traced.n_s + 2), kind.sym("tau")
+        v = inputs_at(self.input_degree, tau, p[:n_u], traced.n_v)
         t = p[-2] + p[-1] * tau
-        rate, alg, q, _ = point(t, own_x, own_z, v, p[n_u : n_u + frame.n_s])
+        rate, alg, q, _ = point(t, own_x, own_z, v, p[n_u : n_u + traced.n_s])
         dae = {
             "t": tau,
             "x": own_x,
@@ -185,20 +189,19 @@ class Shooting:
         options = {"reltol": method.rtol, "abstol": method.atol, **method.casadi_options}
         grid = [float(value) for value in self._taus[1:]]
         solve = ca.integrator("interval", "rosenbrock", dae, 0.0, grid, options)
-        found = solve(x0=x, z0=_start_unknowns(frame), p=ca.vertcat(nodes, s, start, step))
+        found = solve(x0=x, z0=_start_unknowns(traced), p=ca.vertcat(nodes, s, start, step))
         states = [x, *ca.horzsplit(found["xf"])]
         unknowns = ca.horzsplit(found["zf"]) if model.n_z else [ca.MX(0, 1)] * self.steps
         return states, [unknowns[0], *unknowns], found["qf"][:, -1]
 
 
 def _combined(row: np.ndarray, values: list[Any]) -> Any:
-    """Sum of the values weighted by a row, without its zeros."""
+    """Add up the values weighted by a row, without its zeros."""
     parts = [float(a) * value for a, value in zip(row, values, strict=False) if a]
     return sum(parts[1:], parts[0]) if parts else 0.0
 
 
-def _start_unknowns(frame: Frame) -> np.ndarray:
-    """Where the solution for the algebraic unknowns starts."""
-    s = np.array([label.start for label in frame.s_labels], float)
-    values = [float(value) for value in frame.parameters(s)]
-    return frame.model.dae.start_values(np.array(values[: frame.model.n_p]))[1]
+def _start_unknowns(traced: TracedProblem) -> np.ndarray:
+    """Start of Newton's method for the algebraic unknowns (n_z,)."""
+    values = [float(value) for value in traced.parameters(traced.s_start)[: traced.model.n_p]]
+    return traced.model.dae.start_values(np.array(values))[1]

@@ -1,20 +1,30 @@
-"""Meshes over phases, and polynomials on an interval."""
+"""Meshes over phases, and one interval of a mesh as the transcriptions give it.
+
+A mesh divides each phase into intervals by fractions from 0 to 1. On an interval an Input is a
+polynomial through its nodes; what else varies there is up to the transcription, which gives one
+`Interval` for all intervals of a phase.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Union
+from typing import Any, Protocol, Union
 
 import casadi as ca
 import numpy as np
+
+from ..base.symbols import is_number
+from .conditions import Limits
+from .nlp import BlockFunctions, RowKind
+from .traced import TracedProblem
 
 Intervals = Union[int, Sequence[Any]]
 """Number of equal intervals; or for each phase a number, or increasing fractions from 0 to 1."""
 
 
 def meshes(intervals: Intervals, n_phases: int) -> tuple[np.ndarray, ...]:
-    """Fractions from 0 to 1 of each phase.
+    """Return the fractions from 0 to 1 at which the intervals of each phase end.
 
     Raises:
         ValueError: numbers that are not positive, fractions that do not increase from 0 to 1.
@@ -28,6 +38,7 @@ def meshes(intervals: Intervals, n_phases: int) -> tuple[np.ndarray, ...]:
         numbers = all(isinstance(part, (int, np.integer)) for part in per_phase)
         if flat and n_phases == 1 and not (numbers and per_phase[0] != 0):
             per_phase = [per_phase]
+    # By now [0, 0.2, 1] of a single phase is one entry, and [10, 20] an entry for each of two.
     if len(per_phase) != n_phases:
         raise ValueError(
             f"intervals: {len(per_phase)} entries for {n_phases} phases; give one number, or an "
@@ -51,7 +62,7 @@ def _mesh(part: Any) -> np.ndarray:
 
 
 def basis(nodes: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Lagrange polynomials of the nodes (k,) at tau (n,): (n, k)."""
+    """Return the Lagrange polynomials of the nodes (k,) at tau (n,): (n, k)."""
     found = np.ones((len(tau), len(nodes)))
     for j, node in enumerate(nodes):
         for i, other in enumerate(nodes):
@@ -61,7 +72,7 @@ def basis(nodes: np.ndarray, tau: np.ndarray) -> np.ndarray:
 
 
 def slopes(nodes: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Derivatives of the Lagrange polynomials of the nodes at tau: (n, k)."""
+    """Return the derivatives of the Lagrange polynomials of the nodes at tau: (n, k)."""
     found = np.zeros((len(tau), len(nodes)))
     for j, node in enumerate(nodes):
         for i, other in enumerate(nodes):
@@ -76,9 +87,9 @@ def slopes(nodes: np.ndarray, tau: np.ndarray) -> np.ndarray:
 
 
 def control_nodes(degree: int) -> np.ndarray:
-    """Points that carry an Input of that degree on an interval: its middle, or Chebyshev points.
+    """Return the nodes of an Input of that degree on an interval: its middle, or Chebyshev points.
 
-    The ends are among them, so that bounds of a linear Input hold all over the interval.
+    The ends are among Chebyshev's, so that bounds of a linear Input hold all over the interval.
     """
     if degree == 0:
         return np.array([0.5])
@@ -103,15 +114,119 @@ class Scheme:
 
 
 def scheme(name: str, degree: int) -> Scheme:
-    """Gauss-Legendre or Radau IIA points of a degree."""
+    """Return the scheme of the Gauss-Legendre or Radau IIA points of a degree."""
     points = np.array(ca.collocation_points(degree, name), float)
     nodes = np.concatenate([[0.0], points])
     powers = np.arange(degree)
+    # The quadrature through the points is exact for powers below the degree.
     weights = np.linalg.solve(points[None, :] ** powers[:, None], 1 / (powers + 1.0))
     end = basis(nodes, np.array([1.0]))[0]
     return Scheme(nodes, slopes(nodes, points), end, weights)
 
 
-def same_input(degree: int, tau: Any) -> np.ndarray:
-    """Values at tau of an Input by its nodes: (n, degree + 1)."""
-    return basis(control_nodes(degree), np.atleast_1d(np.array(tau, float)))
+def inputs_at(degree: int, tau: Any, nodes: Any, n_v: int) -> Any:
+    """Inputs (n_v, 1) at a place of the interval, a number or a symbol.
+
+    Arguments:
+        nodes: all Inputs at the first node, then at the next (n_v (degree + 1),).
+    """
+    if not degree:
+        return nodes
+    at = control_nodes(degree)
+    weights = basis(at, np.array([tau]))[0] if is_number(tau) else _lagrange(at, tau)
+    return sum(weights[k] * nodes[k * n_v : (k + 1) * n_v] for k in range(degree + 1))
+
+
+def _lagrange(nodes: np.ndarray, tau: Any) -> Any:
+    """Return the Lagrange polynomials of the nodes at a symbol."""
+    found = []
+    for j, node in enumerate(nodes):
+        term = 1.0
+        for k, other in enumerate(nodes):
+            if k != j:
+                term = term * (tau - other) / (node - other)
+        found.append(term)
+    return ca.vertcat(*found)
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """A block between two points of the mesh: w = [y; groups], c = [length, start] as fractions.
+
+    Fields:
+        variables: groups after y: "u", "x" or "z", and where on the interval (0 ... 1).
+        rows: groups of rows after what is handed on, and where: `rate` and `balance` are equal to
+            zero, `path` are the path's rows, `limit` all that is limited there.
+        saved: points of the interval at which a trajectory is saved, the first 0, all below 1.
+        dense: (w, c) -> x (n_x, saved), z (n_z, saved).
+        limits: what is limited along the phase.
+        checked, check: points at which a plan is compared with the limits, and as `dense` there.
+    """
+
+    functions: BlockFunctions
+    variables: tuple[tuple[str, float], ...]
+    rows: tuple[tuple[RowKind, float], ...]
+    saved: np.ndarray
+    dense: ca.Function
+    limits: Limits
+    checked: np.ndarray
+    check: ca.Function
+
+    @property
+    def input_nodes(self) -> int:
+        """Number of nodes of the Inputs."""
+        return sum(group == "u" for group, _ in self.variables)
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Rule for when to stop refining: error of one interval, its order, and rounds at most."""
+
+    tolerance: float
+    rounds: int
+    order: int
+
+
+class Method(Protocol):
+    """A transcription, which writes the block of an interval; a class with these can be one."""
+
+    @property
+    def intervals(self) -> Intervals:
+        """The mesh."""
+        ...
+
+    @property
+    def input_degree(self) -> int:
+        """Degree of the Inputs on an interval."""
+        ...
+
+    @property
+    def refinement(self) -> Refinement | None:
+        """Rule for when to stop refining, None for one solution."""
+        ...
+
+    def interval(self, traced: TracedProblem, i: int) -> Interval:
+        """Write the block of an interval of phase i; its variables are y, input groups, others."""
+        ...
+
+
+def input_groups(degree: int) -> tuple[tuple[str, float], ...]:
+    """Groups of variables of the Inputs on an interval."""
+    return tuple(("u", float(tau)) for tau in control_nodes(degree))
+
+
+def check_method(where: str, method: Any, highest: int) -> None:
+    """Check the degree of the Inputs and the refinement.
+
+    Raises:
+        ValueError: they make no sense.
+    """
+    degree, refine = method.input_degree, method.refine
+    if not isinstance(degree, int) or not 0 <= degree <= highest:
+        raise ValueError(f"{where}: input_degree {degree!r}; it is 0 ... {highest} here")
+    if refine is not None and not (isinstance(refine, float) and 0 < refine < 1):
+        raise ValueError(
+            f"{where}: refine {refine!r}; it is a relative error between 0 and 1, or None"
+        )
+    if not (isinstance(method.rounds, int) and method.rounds > 0):
+        raise ValueError(f"{where}: rounds {method.rounds!r}; a whole number above 0")

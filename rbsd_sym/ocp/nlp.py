@@ -1,16 +1,18 @@
-"""A chain of stages as a nonlinear program, its derivatives put together from those of one stage.
+"""A chain of blocks as a nonlinear program, its derivatives put together from those of one block.
 
-Stage k has the variables w_k = [y_k; v_k] and gives the next y, rows and a cost:
+Block k has the variables w_k = [y_k; v_k] and gives the next y, rows and a cost:
 
     minimise sum cost(w_k)   with   y_{k+1} - next(w_k) = 0,   low <= rows(w_k) <= high,
 
-in this order, which is the one fatrop wants. Variables of different stages meet only in y_{k+1}, so
-that the Jacobian is one block a stage and ones, and the Hessian is block diagonal.
+in this order, which is the one fatrop wants (it calls a block a stage). Variables of different
+blocks meet only in y_{k+1}, so that the Jacobian is one matrix a block and ones, and the Hessian is
+block diagonal.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 from typing import Any
 
@@ -18,11 +20,89 @@ import casadi as ca
 import numpy as np
 
 from ..dae.members import Label
+from ..exports.load import OPTIMISED, build
+
+_PARTS = ("value", "jacobian", "gradient", "hessian")
+
+
+class RowKind(Enum):
+    """Meaning of a row of a block; the value is the word for it in the row's name."""
+
+    motion = "motion"  # what an interval hands on is what comes next
+    link = "link"  # what a node hands on is what comes next
+    rate = "rate"  # an equation of motion at a collocation point
+    balance = "balance"  # an algebraic equation
+    norm = "norm"  # a quaternion is a unit quaternion
+    start = "start"  # a start that follows from a Param to be found
+    cycle = "return"  # the end of a periodic motion is its start
+    copy = "copy"  # the constants of a periodic motion are its start
+    path = "path"  # a condition along the path, at a point where its variables are
+    limit = "limit"  # a condition or bound along the path, between such points
+    end = "end"  # a condition at an end of a phase
+
+    @property
+    def is_equation(self) -> bool:
+        """Whether it is one of the equations of motion, and not a condition of the problem."""
+        return self in (RowKind.motion, RowKind.link, RowKind.rate, RowKind.balance)
+
+
+_BARE = (RowKind.copy, RowKind.path, RowKind.limit, RowKind.end)  # named as what they are about
+
+
+class Where(Enum):
+    """Place of a segment in its phase; the value is the word for it in reports."""
+
+    start = "start"
+    path = "path"
+    end = "end"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of a block; every block of a segment has the same.
+
+    Fields:
+        label: what it is about, with its unit.
+        phase: number of the phase.
+        node: place in the block at which it holds, from 0 (start) to 1 (end).
+    """
+
+    label: Label
+    kind: RowKind
+    phase: int
+    node: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The row in words, for people."""
+        if self.kind in _BARE:
+            return self.label.name
+        return f"{self.kind.value} of {self.label.name}"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of a block; every block of a segment has the same.
+
+    Fields:
+        label: what it is, with its unit.
+        node: its place in the block, from 0 (start) to 1 (end).
+        loosens: of a slack the number of the row that may be missed by it, else None.
+    """
+
+    label: Label
+    node: float = 0.0
+    loosens: int | None = None
+
+    @property
+    def name(self) -> str:
+        """The variable in words, for people."""
+        return self.label.name
 
 
 @dataclass(frozen=True, eq=False)
-class StageFunctions:
-    """A stage with its derivatives by w, c being constants.
+class BlockFunctions:
+    """A block with its derivatives by w, c being constants.
 
     Fields:
         value: (w, c) -> [next; rows], cost.
@@ -38,38 +118,54 @@ class StageFunctions:
     hessian: ca.Function
 
     @staticmethod
-    def derived(name: str, w: Any, c: Any, following: Any, rows: Any, cost: Any) -> StageFunctions:
-        """From expressions of w and c, SX or MX."""
+    def derived(name: str, w: Any, c: Any, following: Any, rows: Any, cost: Any) -> BlockFunctions:
+        """Differentiate expressions of w and c, SX or MX."""
         both = ca.densify(ca.vertcat(following, rows))
         weight, weights = type(w).sym("weight"), type(w).sym("weights", both.numel())
         gradient = ca.gradient(cost, w)
         lagrangian = weight * cost + ca.dot(weights, both)
         hessian = ca.hessian(lagrangian, w)[0]
-        return StageFunctions(
+        return BlockFunctions(
             ca.Function(f"{name}_value", [w, c], [both, cost]),
             ca.Function(f"{name}_jacobian", [w, c], [ca.jacobian(both, w)]),
             ca.Function(f"{name}_gradient", [w, c], [ca.densify(gradient)]),
             ca.Function(f"{name}_hessian", [w, c, weight, weights], [hessian]),
         )
 
+    def compiled(self, name: str, compiler: str | None = None) -> BlockFunctions:
+        """Return the same functions as machine code, built once and kept in the cache of libraries.
+
+        Raises:
+            CompilerMissing: there is no compiler.
+            RuntimeError: the compiler failed; with its message.
+        """
+        symbols = {part: f"{name}_{part}" for part in _PARTS}
+        generator = ca.CodeGenerator(f"{name}_stage")
+        for part, symbol in symbols.items():
+            function: ca.Function = getattr(self, part)
+            own = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+            generator.add(ca.Function(symbol, own, function.call(own)))
+        library = str(build(f"{name}-stage", str(generator.dump()), compiler, OPTIMISED))
+        return BlockFunctions(*(ca.external(symbols[part], library) for part in _PARTS))
+
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Stages of one kind, in a row.
+    """Blocks of one kind, in a row.
 
     Fields:
+        where, phase: where the blocks are, and the number of the phase.
         constants: (n_c, count).
-        n_y, n_next: size of y here, and of what the stage hands on (0 in the last one).
+        n_y, n_next: size of y here, and of what a block hands on (0 in the last one).
         low, high, guess: of the variables (n_w, count).
-        row_low, row_high: (n_rows,).
-        variables, rows: names and units, for messages.
-        when: time of each variable and each row as a fraction of the stage (n_w,), (n_rows,).
-        phase: number of the phase, and `fractions` (count, 2) of it that each stage spans.
-        kinds: of each row: "motion" and "link" hand on y, "rate" and "alg" are equations, "path",
-            "start" and "end" are conditions.
+        row_low, row_high: of the rows after those that hand on y (n_g - n_next,).
+        variables, rows: what they are, of every block (n_w,), (n_g,).
+        fractions: of the phase, that each block spans (count, 2).
     """
 
-    functions: StageFunctions
+    where: Where
+    phase: int
+    functions: BlockFunctions
     constants: np.ndarray
     n_y: int
     n_next: int
@@ -78,32 +174,43 @@ class Segment:
     guess: np.ndarray
     row_low: np.ndarray
     row_high: np.ndarray
-    variables: tuple[Label, ...]
-    rows: tuple[Label, ...]
-    when: tuple[np.ndarray, np.ndarray]
-    phase: int
+    variables: tuple[Variable, ...]
+    rows: tuple[Row, ...]
     fractions: np.ndarray
-    kinds: tuple[str, ...]
 
     @property
     def count(self) -> int:
-        """Number of stages."""
+        """Number of blocks."""
         return self.constants.shape[1]
 
     @property
     def n_w(self) -> int:
-        """Variables of a stage."""
+        """Variables of a block."""
         return self.low.shape[0]
 
     @property
     def n_g(self) -> int:
-        """Equations and rows of a stage."""
+        """Equations and rows of a block."""
         return self.n_next + len(self.row_low)
+
+    def columns(self, values: np.ndarray) -> np.ndarray:
+        """Values of all its variables or rows (n count,) as a column a block (n, count)."""
+        return values.reshape(self.count, -1).T
 
 
 @dataclass(frozen=True, eq=False)
 class Nlp:
-    """Segments in a chain."""
+    """Segments in a chain: a nonlinear program with exact derivatives.
+
+    It is what `transcribe` returns and what solvers take. `functions` holds CasADi Functions under
+    the names that `nlpsol` uses, `bounds` the start and all bounds:
+
+        nlp = transcribe(problem, Collocation(20))
+        cost, rows = nlp.functions["nlp"](nlp.bounds["x0"], [])
+
+    Fields:
+        segments: in the order in which time passes.
+    """
 
     segments: tuple[Segment, ...]
 
@@ -131,7 +238,7 @@ class Nlp:
 
     @property
     def bounds(self) -> dict[str, np.ndarray]:
-        """x0, lbx, ubx, lbg, ubg."""
+        """Start x0 and bounds lbx, ubx of the variables (n,), bounds lbg, ubg of the rows (m,)."""
         rows = {}
         for key, side in (("lbg", "row_low"), ("ubg", "row_high")):
             rows[key] = np.concatenate(
@@ -145,7 +252,9 @@ class Nlp:
 
     @property
     def structure(self) -> dict[str, Any]:
-        """N, nx, nu, ng: what fatrop asks for."""
+        """Sizes of the chain as fatrop asks for them: N, nx, nu, ng."""
+        # "States" are y, "controls" all other variables of a block, so that rows between them count
+        # as path constraints.
         nx, nu, ng = [], [], []
         for part in self.segments:
             nx += [part.n_y] * part.count
@@ -153,8 +262,16 @@ class Nlp:
             ng += [len(part.row_low)] * part.count
         return {"N": len(nx) - 1, "nx": nx, "nu": nu, "ng": ng}
 
-    def blocks(self, x: Any) -> list[Any]:
-        """Variables of each segment, a column a stage."""
+    def split(self, x: np.ndarray) -> list[np.ndarray]:
+        """Variables (n,) of each segment, a column a block (n_w, count)."""
+        starts = [first for first, _ in self.offsets]
+        return [
+            part.columns(x[a:b])
+            for part, a, b in zip(self.segments, starts, starts[1:], strict=False)
+        ]
+
+    def _blocks(self, x: Any) -> list[Any]:
+        """Symbols of the variables of each segment, a column a block."""
         return [
             ca.reshape(x[start : start + part.n_w * part.count], part.n_w, part.count)
             for part, (start, _) in zip(self.segments, self.offsets, strict=False)
@@ -162,21 +279,23 @@ class Nlp:
 
     @cached_property
     def functions(self) -> dict[str, ca.Function]:
-        """By CasADi's names: nlp, nlp_grad_f, nlp_jac_g, nlp_hess_l (full), nlp_grad."""
+        """Functions by CasADi's names: nlp, nlp_grad_f, nlp_jac_g, nlp_hess_l (full), nlp_grad."""
         x, p = ca.MX.sym("x", self.n), ca.MX.sym("p", 0)
-        blocks, f = self.blocks(x), ca.MX(0)
+        blocks, f = self._blocks(x), ca.MX(0)
         values, gradients, jacobian = [], [], []
         for k, part in enumerate(self.segments):
-            stage, c = part.functions, ca.DM(part.constants)
-            value, cost = _mapped(stage.value, part.count)(blocks[k], c)
+            block, c = part.functions, ca.DM(part.constants)
+            value, cost = _mapped(block.value, part.count)(blocks[k], c)
             following = self._following(blocks, k)
             if part.n_next:
                 value = ca.vertcat(following - value[: part.n_next, :], value[part.n_next :, :])
             values.append(ca.vec(value))
             f += ca.sum2(cost)
-            own = _mapped(stage.gradient, part.count)(blocks[k], c)
+            # One Function a segment, mapped over its blocks: the graph does not grow with their
+            # number.
+            own = _mapped(block.gradient, part.count)(blocks[k], c)
             gradients.append(ca.vec(own))
-            jacobian.append(_nonzeros(_mapped(stage.jacobian, part.count)(blocks[k], c)))
+            jacobian.append(_nonzeros(_mapped(block.jacobian, part.count)(blocks[k], c)))
         g, grad = ca.vertcat(*values), ca.densify(ca.vertcat(*gradients))
         jac = self._jacobian(jacobian)
         weight, weights = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.m)
@@ -199,7 +318,7 @@ class Nlp:
         }
 
     def _following(self, blocks: list[Any], k: int) -> Any:
-        """What comes after each stage of a segment, a column each."""
+        """The y that comes after each block of a segment, a column each."""
         part = self.segments[k]
         own = blocks[k][: part.n_next, 1:]
         if k + 1 == len(blocks):
@@ -207,19 +326,21 @@ class Nlp:
         return ca.horzcat(own, blocks[k + 1][: part.n_next, 0])
 
     def _jacobian(self, nonzeros: list[Any]) -> Any:
-        """[-d next; d rows] of each stage and ones for y_{k+1}, scattered by index."""
+        """Scatter [-d next; d rows] of each block, and ones for y_{k+1}, by index."""
         rows, columns, values = [], [], []
         for k, part in enumerate(self.segments):
             first, top = self.offsets[k]
             i, j = _pattern(part.functions.jacobian.sparsity_out(0))
             sign = np.where(i < part.n_next, -1.0, 1.0)
-            stage = np.arange(part.count)
-            rows.append((i[:, None] + top + part.n_g * stage).T.reshape(-1))
-            columns.append((j[:, None] + first + part.n_w * stage).T.reshape(-1))
+            block = np.arange(part.count)
+            rows.append((i[:, None] + top + part.n_g * block).T.reshape(-1))
+            columns.append((j[:, None] + first + part.n_w * block).T.reshape(-1))
             values.append(nonzeros[k] * ca.DM(np.tile(sign, part.count)))
             ones = np.arange(part.n_next)
-            starts = first + part.n_w * (stage + 1)
-            rows.append((ones[:, None] + top + part.n_g * stage).T.reshape(-1))
+            # What a block hands on is the first n_next variables of the block after it, also where
+            # that is the first one of the next segment.
+            starts = first + part.n_w * (block + 1)
+            rows.append((ones[:, None] + top + part.n_g * block).T.reshape(-1))
             columns.append((ones[:, None] + starts).T.reshape(-1))
             values.append(ca.MX(ca.DM.ones(part.n_next * part.count)))
         return _scattered(self.m, self.n, rows, columns, values)
@@ -229,7 +350,7 @@ class Nlp:
         for k, part in enumerate(self.segments):
             first, top = self.offsets[k]
             own = ca.reshape(weights[top : top + part.n_g * part.count], part.n_g, part.count)
-            if part.n_next:
+            if part.n_next:  # g holds minus what is handed on
                 own = ca.vertcat(-own[: part.n_next, :], own[part.n_next :, :])
             hessian = _mapped(part.functions.hessian, part.count)
             found = hessian(blocks[k], ca.DM(part.constants), ca.repmat(weight, 1, part.count), own)
@@ -246,7 +367,7 @@ def _mapped(function: ca.Function, count: int) -> ca.Function:
 
 
 def _nonzeros(matrix: Any) -> Any:
-    """Nonzeros as a column, stage by stage."""
+    """Return nonzeros as a column, block by block."""
     return ca.vec(ca.MX(matrix).nz[:]) if matrix.nnz() else ca.MX(0, 1)
 
 
@@ -256,7 +377,10 @@ def _pattern(sparsity: ca.Sparsity) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _scattered(n: int, m: int, rows: list[Any], columns: list[Any], values: list[Any]) -> Any:
-    """The sparse matrix with these entries, each at a place of its own."""
+    """Return the sparse matrix with these entries, each at a place of its own.
+
+    CasADi orders nonzeros column by column, so the values are gathered in that order.
+    """
     i, j = (np.concatenate(parts) if parts else np.zeros(0) for parts in (rows, columns))
     order = np.lexsort((i, j))
     pattern = ca.Sparsity.triplet(

@@ -1,45 +1,49 @@
-"""`optimise`: from a problem and a method to a plan that was flown."""
+"""`optimise`: from a problem and a method to a plan that was checked by simulation."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
-from ..model.trajectory import Outcome as Reached
-from ..model.trajectory import Trajectory
+from ..model.trajectory import Outcome, Trajectory
 from ..pipeline import across_reduction
-from .between import Miss
-from .chain import Chain, chained
-from .direct_collocation import Collocation
-from .flight import Flight, FlightFailed
-from .guess import Guess, from_user
-from .interval import Interval, Method
-from .machine_code import compiled_stage
-from .mesh import meshes
+from .chain import Chain, Guess, chained
+from .direct_collocation import DirectCollocation
+from .flight import FlightFailed, flown
+from .guess import first_guess, from_solution
+from .mesh import Interval, Method, meshes
 from .nlp import Nlp
+from .plan import (
+    Flight,
+    Miss,
+    OptimisationError,
+    Plan,
+    Raw,
+    Solution,
+    multipliers,
+    pieces,
+    read,
+    trajectory,
+)
 from .problem import Problem
-from .reading import Plan, flown, multipliers, pieces, read, trajectory
 from .reasons import between_points, elastic_report, misses
 from .refine import refined
-from .solution import OptimisationError, Raw, Solution
-from .solvers import Answer, Fatrop, Ipopt, Outcome, Progress
-from .stage import Frame, framed
-from .warm import from_solution, warm_start
+from .solvers import Fatrop, Ipopt, NlpAnswer, OptimisationOutcome, Progress
+from .traced import TracedProblem, check_freedom, trace_problem
 
-_STRAYS = 1e-3  # of the size of states, or of a limit: a plan further off is not to be trusted
+_STRAYS = 1e-3  # of the size of states, or of a limit: a plan that is further off gets a note
 _PATIENCE = 300  # iterations of fatrop, before IPOPT is tried
 
 
 class Solver(Protocol):
-    """Solves a program: `Ipopt(...)` or `Fatrop(...)`."""
+    """Solves a program: `Ipopt(...)`, `Fatrop(...)`, or a class of one's own with this method."""
 
-    def solve(self, nlp: Any, start: Any, progress: Progress | None) -> Answer:
-        """The answer, from a start."""
+    def solve(self, nlp: Nlp, start: dict[str, np.ndarray], progress: Progress | None) -> NlpAnswer:
+        """Solve from a start: x0, and multipliers lam_x0, lam_g0; empty for the program's own."""
         ...
 
 
@@ -48,7 +52,7 @@ class _Found:
     """One round: what was solved, and what is known of it."""
 
     chain: Chain
-    answer: Answer
+    answer: NlpAnswer
     plan: Plan
     flight: Flight | None
     errors: np.ndarray
@@ -68,7 +72,13 @@ def optimise(
 ) -> Solution:
     """Find the motion that costs least.
 
+    For example
+
+        solution = rs.ocp.optimise(problem, rs.ocp.Collocation(30, degree=4, refine=1e-6))
+        print(solution, solution.cost, solution.trajectory["tip.position"][-1])
+
     Arguments:
+        problem: what to find, and at what cost.
         method: `Collocation()` by default, or `Shooting()`.
         guess: a `Trajectory` of `simulate`, values by name, or an earlier `Solution` (with its
             multipliers, if the mesh is the same); by default straight from start to end.
@@ -76,21 +86,24 @@ def optimise(
             progress is wanted, and for a warm start.
         progress: called with an `Iteration` at each; returns True to stop.
         throw: raise where there is no plan; otherwise it is data in `solution.outcome`.
-        fly: integrate the plan with IDAS at rtol 1e-10, and report the difference. A method that
-            refines needs it.
-        compiled: build machine code of the functions of one stage; it needs a C compiler, and pays
-            where a problem is solved often (the library stays in the cache).
+        fly: check the plan by simulation with IDAS at rtol 1e-10, and report the difference. A
+            method that refines needs it, and does so in any case.
+        compiled: build machine code of the functions of one interval; it needs a C compiler, and
+            pays where a problem is solved often (the library stays in the cache).
+
+    Returns:
+        The solution; it need not be the global optimum, which the search cannot recognise.
 
     Raises:
         ValueError, TypeError: what is wrong with the problem, before the solver starts.
         OptimisationError: no plan; it carries the solution.
     """
-    if isinstance(method, type) or isinstance(solver, type):
-        given = method if isinstance(method, type) else solver
-        raise TypeError(f"optimise: {given.__name__}; give an object, such as {given.__name__}()")  # type: ignore[union-attr]
-    chosen = method or Collocation()
+    for given, example in ((method, "Collocation()"), (solver, "Ipopt()")):
+        if isinstance(given, type):
+            raise TypeError(f"optimise: {given.__name__}; give an object, such as {example}")
+    chosen = method or DirectCollocation()
     search = _Search(chosen, solver, progress, fly, compiled)
-    solution = _solution(problem, chosen, *search.run(framed(problem), guess))
+    solution = _solution(problem, chosen, *search.run(trace_problem(problem), guess))
     if throw and not solution.outcome.ok:
         raise OptimisationError(solution)
     return solution
@@ -106,15 +119,15 @@ class _Search:
     fly: bool
     compiled: bool
 
-    def run(self, frame: Frame, guess: Any) -> tuple[_Found, dict[str, float | str]]:
-        """The last round, and statistics of all."""
+    def run(self, traced: TracedProblem, guess: Any) -> tuple[_Found, dict[str, float | str]]:
+        """Return the last round, and statistics of all."""
         begun, solving, flying, iterations, rounds = time.perf_counter(), 0.0, 0.0, 0, 0
-        intervals = _stages(frame, self.method, self.compiled)
-        mesh = meshes(self.method.intervals, frame.n_phases)
-        start, lam = _first_guess(frame, self.method, guess, mesh)
+        intervals = _intervals(traced, self.method, self.compiled)
+        mesh = meshes(self.method.intervals, traced.n_phases)
+        start, lam = first_guess(traced, guess, mesh, self.method.input_degree)
+        check_freedom(traced)
         while True:
-            chain = chained(frame, intervals, mesh, start)
-            _check_freedom(chain)
+            chain = chained(traced, intervals, mesh, start)
             lam = lam if _fits(chain, lam) else {}
             found = self._solved(chain, lam, start)
             solving, flying = solving + found.answer.seconds, flying + found.flying
@@ -123,7 +136,7 @@ class _Search:
             if finer is None:
                 break
             mesh, lam = finer, {}
-            start = from_solution(frame, found.plan, found.chain)
+            start = from_solution(traced, found.plan, found.chain)
         build = time.perf_counter() - begun - solving - flying
         return found, {
             "rounds": float(rounds),
@@ -138,10 +151,10 @@ class _Search:
         for solver in [self.solver] if self.solver else _team(self.progress, lam):
             answer = solver.solve(chain.nlp, lam, self.progress)
             spent += answer.seconds
-            if answer.outcome.ok or answer.outcome is Outcome.stopped:
+            if answer.outcome.ok or answer.outcome is OptimisationOutcome.stopped:
                 break
         answer = answer._replace(seconds=spent)
-        if not answer.outcome.ok and answer.outcome is not Outcome.stopped:
+        if not answer.outcome.ok and answer.outcome is not OptimisationOutcome.stopped:
             answer, report = _explained(chain, solver, answer, start)
         plan = read(chain, answer.x)
         flight, errors, before = None, np.zeros(0), time.perf_counter()
@@ -149,45 +162,43 @@ class _Search:
             try:
                 flight, errors = flown(chain, plan, self.method.input_degree)
             except FlightFailed as failed:
-                report = f"IDAS cannot fly the plan: {failed}"
+                report = f"the plan cannot be simulated by IDAS: {failed}"
         flying = time.perf_counter() - before
         return _Found(chain, answer, plan, flight, errors, report, flying)
 
 
 def transcribe(problem: Problem, method: Method | None = None, guess: Any = None) -> Nlp:
-    """The nonlinear program of a problem, for other solvers, export, and tests.
+    """Write a problem as a nonlinear program, for other solvers and for tests.
 
-    `functions` holds its CasADi Functions with exact derivatives, `bounds` the start and the bounds
-    of variables and rows.
+    `functions` of the result holds its CasADi Functions with exact derivatives, `bounds` the start
+    and the bounds of variables and rows. `transcribe(problem, method).n` is the number of
+    variables, without a call of a solver. To write a program to C, use `export_problem`.
+
+    Arguments:
+        problem, method, guess: as in `optimise`.
 
     Raises:
         ValueError, TypeError: what is wrong with the problem.
     """
-    frame, chosen = framed(problem), method or Collocation()
-    mesh = meshes(chosen.intervals, frame.n_phases)
-    start, _ = _first_guess(frame, chosen, guess, mesh)
-    return chained(frame, _stages(frame, chosen, False), mesh, start).nlp
+    traced, chosen = trace_problem(problem), method or DirectCollocation()
+    mesh = meshes(chosen.intervals, traced.n_phases)
+    start, _ = first_guess(traced, guess, mesh, chosen.input_degree)
+    return chained(traced, _intervals(traced, chosen, False), mesh, start).nlp
 
 
-def _stages(frame: Frame, method: Method, compiled: bool) -> list[Interval]:
-    intervals = [method.interval(frame, i) for i in range(frame.n_phases)]
+def _intervals(traced: TracedProblem, method: Method, compiled: bool) -> list[Interval]:
+    intervals = [method.interval(traced, i) for i in range(traced.n_phases)]
     if not compiled:
         return intervals
-    name = f"{frame.model.name}_ocp"
-    return [replace(part, functions=compiled_stage(name, part.functions)) for part in intervals]
+    name = f"{traced.model.name}_ocp"
+    return [replace(part, functions=part.functions.compiled(name)) for part in intervals]
 
 
 def _team(progress: Progress | None, lam: dict[str, np.ndarray]) -> list[Solver]:
-    """Solvers to be tried in turn."""
+    """Return the solvers to be tried in turn."""
+    # Fatrop is the faster one, but has neither progress nor warm starts, and gives up where IPOPT
+    # restores feasibility.
     return [Ipopt()] if progress or lam else [Fatrop(max_iterations=_PATIENCE), Ipopt()]
-
-
-def _first_guess(
-    frame: Frame, method: Method, guess: Any, mesh: tuple[np.ndarray, ...]
-) -> tuple[Guess, dict[str, np.ndarray]]:
-    if isinstance(guess, Solution):
-        return warm_start(frame, guess, mesh, method.input_degree)
-    return from_user(frame, guess), {}
 
 
 def _fits(chain: Chain, lam: dict[str, np.ndarray]) -> bool:
@@ -195,34 +206,27 @@ def _fits(chain: Chain, lam: dict[str, np.ndarray]) -> bool:
     return bool(lam) and (len(lam["x0"]), len(lam["lam_g0"])) == (chain.nlp.n, chain.nlp.m)
 
 
-def _check_freedom(chain: Chain) -> None:
-    if not chain.frame.controls and not chain.frame.n_s:
-        raise ValueError(
-            f"model '{chain.frame.model.name}': nothing is to be found; make an Input, a Param or "
-            "a horizon Free"
-        )
+def _explained(
+    chain: Chain, solver: Solver, answer: NlpAnswer, start: Guess
+) -> tuple[NlpAnswer, str]:
+    """Find out why there is no answer; return a better one if there is, and the reason.
 
-
-def _explained(chain: Chain, solver: Solver, answer: Answer, start: Guess) -> tuple[Answer, str]:
-    """Why there is no answer: what is missed if the conditions at the ends may be.
-
-    If none needs to be, the problem is tried once more from there.
+    The elastic program lets conditions be missed. If none needs to be, the problem is tried once
+    more from there.
     """
-    loose = chained(chain.frame, chain.intervals, chain.mesh, start, elastic=True)
+    # Solvers only say that they gave up. With slacks any motion from the start is feasible, and
+    # those that are not zero name the conditions that contradict each other.
+    loose = chained(chain.traced, chain.intervals, chain.mesh, start, elastic=True)
     second = solver.solve(loose.nlp, {}, None)
     if not second.outcome.ok:
         worst = misses(chain, answer.x)
         return answer, "; ".join(str(miss) for miss in worst[:2])
-    told = elastic_report(loose, second.x)
-    if told:
-        failed = (
-            answer
-            if answer.outcome is Outcome.infeasible
-            else answer._replace(outcome=Outcome.infeasible)
-        )
-        return failed, f"at best {'; '.join(told[:3])}"
-    near = from_solution(chain.frame, read(loose, second.x), loose)
-    again = chained(chain.frame, chain.intervals, chain.mesh, near)
+    missed = elastic_report(loose, second.x)
+    if missed:
+        failed = answer._replace(outcome=OptimisationOutcome.infeasible)
+        return failed, f"at best {'; '.join(missed[:3])}"
+    near = from_solution(chain.traced, read(loose, second.x), loose)
+    again = chained(chain.traced, chain.intervals, chain.mesh, near)
     third = solver.solve(again.nlp, {}, None)
     if third.outcome.ok:
         return third, ""
@@ -240,17 +244,17 @@ def _solution(
     problem: Problem, method: Method, found: _Found, stats: dict[str, float | str]
 ) -> Solution:
     chain, answer, plan = found.chain, found.answer, found.plan
-    frame = chain.frame
+    traced = chain.traced
     path: Trajectory = trajectory(plan)
     outcome, report = answer.outcome, _report(answer, found.report)
     if not outcome.ok:
-        path = replace(path, outcome=Reached.solver_failed, report=report)
+        path = replace(path, outcome=Outcome.solver_failed, report=report)
     else:
-        path = across_reduction(frame.model, path)
-        if path.outcome is Reached.unstable_across_reduction:
-            outcome, report = Outcome.unstable_across_reduction, path.report
-    labels = frame.model.dae.parameters.labels
-    values = [float(value) for value in frame.parameters(plan.s)]
+        path = across_reduction(traced.model, path)
+        if path.outcome is Outcome.unstable_across_reduction:
+            outcome, report = OptimisationOutcome.unstable_across_reduction, path.report
+    labels = traced.model.dae.parameters.labels
+    values = [float(value) for value in traced.parameters(plan.s)]
     functions = chain.nlp.functions
     stats |= {
         "variables": float(chain.nlp.n),
@@ -258,17 +262,16 @@ def _solution(
         "nonzeros": float(functions["nlp_jac_g"].nnz_out(1)),
         "solver": answer.message,
     }
-    edges = np.concatenate([plan.legs[0].t, *(leg.t[1:] for leg in plan.legs[1:])])
     between = between_points(chain, answer.x, plan, method.input_degree) if outcome.ok else ()
-    raw = Raw(chain.mesh, answer, method.input_degree, plan, chain)
+    raw = Raw(answer, method.input_degree, plan, chain)
     return Solution(
         problem,
-        frame.model,
+        traced.model,
         path,
         pieces(plan),
-        tuple(float(v) for v in frame.durations(plan.s)),
+        tuple(float(v) for v in traced.durations(plan.s)),
         {label.name: v for label, v in zip(labels, values, strict=True)},
-        edges,
+        plan.edges,
         answer.cost,
         outcome,
         report,
@@ -277,13 +280,13 @@ def _solution(
         between,
         multipliers(chain, answer),
         stats,
-        (*frame.notes, *_strays(found.flight), *_beyond(between)),
+        (*traced.notes, *_strays(found.flight), *_beyond(between)),
         raw,
     )
 
 
 def _strays(flight: Flight | None) -> list[str]:
-    """A note where the plan does not fly."""
+    """A note where the simulation contradicts the plan."""
     if flight is None or flight.difference < _STRAYS:
         return []
     name, t = flight.worst
@@ -294,7 +297,7 @@ def _strays(flight: Flight | None) -> list[str]:
 
 
 def _beyond(between: tuple[Miss, ...]) -> list[str]:
-    """A note where limits are passed by much."""
+    """A note where limits are exceeded by much."""
     if not between or between[0].relative < _STRAYS:
         return []
     return [
@@ -303,9 +306,9 @@ def _beyond(between: tuple[Miss, ...]) -> list[str]:
     ]
 
 
-def _report(answer: Answer, reason: str) -> str:
+def _report(answer: NlpAnswer, reason: str) -> str:
     text = answer.outcome.value
-    if answer.outcome is Outcome.optimal and not reason:
+    if answer.outcome is OptimisationOutcome.optimal and not reason:
         return text
-    parts: Sequence[str] = [part for part in (reason, f"({answer.message})") if part]
+    parts = [part for part in (reason, f"({answer.message})") if part]
     return f"{text}: {' '.join(parts)}" if not math.isnan(answer.cost) else f"{text}: {parts[-1]}"

@@ -1,7 +1,7 @@
 """A problem from any state, for any Params and horizons: what a receding horizon asks for.
 
 Params and horizons that are given become constants of an extended problem, as if they were to be
-found; its stages are then written without them among the variables, and with them as arguments.
+found; its blocks are then written without them among the variables, and with them as arguments.
 """
 
 from __future__ import annotations
@@ -14,15 +14,12 @@ import casadi as ca
 import numpy as np
 
 from ..dae.members import Label
-from .chain import Chain, chained
-from .guess import from_conditions, from_user
-from .interval import Method
-from .mesh import meshes
-from .nlp import StageFunctions
+from .chain import Chain, Guess, chained
+from .guess import first_guess, from_conditions
+from .mesh import Method, meshes
+from .nlp import BlockFunctions
 from .problem import Free, Phase, Problem
-from .solution import Solution
-from .stage import Frame, framed
-from .warm import warm_start
+from .traced import Constant, Role, TracedProblem, check_freedom, trace_problem
 
 _LONG = 60_000  # instructions, above which calls stay calls
 _SHORTEST = 1e-9  # of a horizon: what a Phase takes as a lower bound
@@ -34,7 +31,7 @@ class Parametric:
 
     Fields:
         chain: at the default state and Params; all states at its start are fixed.
-        stages: of each segment, functions of (w, c, p) for f and g as CasADi's `nlp` has them but
+        blocks: of each segment, functions of (w, c, p) for f and g as CasADi's `nlp` has them but
             for the y that comes after: `value` is [-next; rows], the Hessian's pattern has the
             whole diagonal.
         p_labels: lengths of the horizons that are given, and Params; `start` is the default.
@@ -42,18 +39,23 @@ class Parametric:
     """
 
     chain: Chain
-    stages: tuple[StageFunctions, ...]
+    blocks: tuple[BlockFunctions, ...]
     p_labels: tuple[Label, ...]
     state: np.ndarray
 
     @property
-    def frame(self) -> Frame:
+    def traced(self) -> TracedProblem:
         """The problem on its symbols."""
-        return self.chain.frame
+        return self.chain.traced
+
+    @property
+    def name(self) -> str:
+        """Name of the files in C, and prefix of the functions."""
+        return f"{self.traced.model.name}_ocp"
 
 
 def parametric(problem: Problem, method: Method, guess: Any = None) -> Parametric:
-    """The problem from a measured state, which replaces what `start` of its first phase says.
+    """Transcribe a problem from a measured state, which replaces `start` of its first phase.
 
     Raises:
         ValueError, TypeError: what is wrong with the problem; a periodic one; nothing to be found.
@@ -63,66 +65,67 @@ def parametric(problem: Problem, method: Method, guess: Any = None) -> Parametri
             "Problem: periodic, so its start is to be found and cannot be measured; give one with "
             "periodic=False"
         )
-    first = framed(problem)
-    if not first.controls and not first.n_s:
-        raise ValueError(
-            f"model '{first.model.name}': nothing is to be found; make an Input, a Param or a "
-            "horizon Free"
-        )
+    first = trace_problem(problem)
+    check_freedom(first)
     state = from_conditions(first).x(0, np.zeros(1))[:, 0]
     fixed = _measured(problem, first, state)
-    own, wide = framed(fixed), framed(_widened(fixed, first))
+    # `own` gives the variables and their bounds, `wide` the functions: its chain has the same
+    # blocks, with all Params and horizons among the constants.
+    own, wide = trace_problem(fixed), trace_problem(_widened(fixed))
     mesh = meshes(method.intervals, own.n_phases)
-    start = (
-        warm_start(own, guess, mesh, method.input_degree)[0]
-        if isinstance(guess, Solution)
-        else from_user(own, guess)
-    )
+    start, _ = first_guess(own, guess, mesh, method.input_degree)
     chain = _chain(own, method, mesh, start)
     extended = _chain(wide, method, mesh, from_conditions(wide))
-    stages = _Lowering(wide, {label.name for label in own.s_labels})
-    flat = not own.model.kernels
-    lowered = [
-        stages.lowered(f"stage{k}", _flat(part.functions) if flat else part.functions, part.n_next)
+    lowering, flat = _Lowering(wide, own), not own.model.kernels
+    blocks = [
+        lowering.lowered(
+            f"stage{k}", _flat(part.functions) if flat else part.functions, part.n_next
+        )
         for k, part in enumerate(extended.nlp.segments)
     ]
-    return Parametric(chain, tuple(lowered), stages.labels, state)
+    return Parametric(chain, tuple(blocks), lowering.labels, state)
 
 
-def _flat(stage: StageFunctions) -> StageFunctions:
-    """Without calls, which take most of the time in C; where CasADi can, and it stays short."""
+def _flat(block: BlockFunctions) -> BlockFunctions:
+    """Return a block without calls, which take most of the time in C.
+
+    It comes back as it is if CasADi cannot write its calls out, or if that would be long.
+    """
     try:
-        found = StageFunctions(
-            stage.value.expand(),
-            stage.jacobian.expand(),
-            stage.gradient.expand(),
-            stage.hessian.expand(),
+        found = BlockFunctions(
+            block.value.expand(),
+            block.jacobian.expand(),
+            block.gradient.expand(),
+            block.hessian.expand(),
         )
     except RuntimeError:  # an integrator with steps of its own
-        return stage
-    return found if found.hessian.n_instructions() < _LONG else stage
+        return block
+    return found if found.hessian.n_instructions() < _LONG else block
 
 
-def _chain(frame: Frame, method: Method, mesh: tuple[np.ndarray, ...], guess: Any) -> Chain:
-    return chained(frame, [method.interval(frame, i) for i in range(frame.n_phases)], mesh, guess)
+def _chain(
+    traced: TracedProblem, method: Method, mesh: tuple[np.ndarray, ...], guess: Guess
+) -> Chain:
+    return chained(
+        traced, [method.interval(traced, i) for i in range(traced.n_phases)], mesh, guess
+    )
 
 
-def _measured(problem: Problem, frame: Frame, state: np.ndarray) -> Problem:
-    """All states at the start fixed."""
-    labels = frame.model.x_labels
+def _measured(problem: Problem, traced: TracedProblem, state: np.ndarray) -> Problem:
+    """The problem with all states at the start fixed."""
+    labels = traced.model.x_labels
     values = {label.name: float(v) for label, v in zip(labels, state, strict=True)}
-    phases = [replace(problem.stretches[0], start=values), *problem.stretches[1:]]
-    return replace(problem, model=frame.model, phases=phases, fixed_start=False)
+    phases = [replace(problem.sequence[0], start=values), *problem.sequence[1:]]
+    return replace(problem, model=traced.model, phases=phases, fixed_start=False)
 
 
-def _widened(problem: Problem, frame: Frame) -> Problem:
-    """Horizons and Params that are given as constants to be found."""
-    dae = frame.model.dae
+def _widened(problem: Problem) -> Problem:
+    """The problem with the horizons and Params that are given as constants to be found."""
     params = dict(problem.params)
-    for label in dae.parameters.labels:
+    for label in problem.model.dae.parameters.labels:
         value = params.get(label.name, label.start)
         params[label.name] = value if isinstance(value, Free) else Free(float(value))
-    return replace(problem, phases=[_open(phase) for phase in problem.stretches], params=params)
+    return replace(problem, phases=[_open(phase) for phase in problem.sequence], params=params)
 
 
 def _open(phase: Phase) -> Phase:
@@ -133,46 +136,49 @@ def _open(phase: Phase) -> Phase:
 
 
 class _Lowering:
-    """Takes constants out of the variables of stages."""
+    """Takes constants out of the variables of blocks: those of `wide` that `own` does not find."""
 
-    def __init__(self, wide: Frame, found: set[str]) -> None:
-        names = [label.name for label in wide.s_labels]
-        self._n_x, self._n_s, self._n_y = wide.model.n_x, wide.n_s, wide.n_y
-        self._taken = [k for k, name in enumerate(names) if name not in found]
-        self.labels = tuple(_argument(wide.s_labels[k]) for k in self._taken)
+    def __init__(self, wide: TracedProblem, own: TracedProblem) -> None:
+        found = {(c.role, c.index) for c in own.constants}
+        taken = [k for k, c in enumerate(wide.constants) if (c.role, c.index) not in found]
+        self._taken = [wide.model.n_x + k for k in taken]  # places in y
+        self.labels = tuple(_argument(wide.constants[k]) for k in taken)
 
-    def lowered(self, name: str, stage: StageFunctions, n_next: int) -> StageFunctions:
-        """The stage with arguments (w, c, p)."""
-        kind = ca.SX if stage.value.is_a("SXFunction") else ca.MX
-        n, taken = stage.value.numel_in(0), [self._n_x + k for k in self._taken]
+    def lowered(self, name: str, block: BlockFunctions, n_next: int) -> BlockFunctions:
+        """Return the block with arguments (w, c, p)."""
+        kind = ca.SX if block.value.is_a("SXFunction") else ca.MX
+        n, taken = block.value.numel_in(0), self._taken
         kept = _without(n, taken)
-        n_rows = stage.value.numel_out(0)
+        n_rows = block.value.numel_out(0)
         rows = _without(n_rows, taken if n_next else [])
-        n_c = stage.value.numel_in(1)
+        n_c = block.value.numel_in(1)
         w, c, p = kind.sym("w", len(kept)), kind.sym("c", n_c), kind.sym("p", len(taken))
         whole = _placed(kind, n, kept, w, taken, p)
         given = len(rows) - n_rows + n_next  # rows of [-next]
+        # Rows that hand on a constant to itself go with it. Those that stay are -next in g.
         sign = ca.DM([-1.0 if k < given else 1.0 for k in range(len(rows))])
-        both, cost = stage.value(whole, c)
-        jacobian = ca.mtimes(ca.diag(sign), stage.jacobian(whole, c)[rows, kept])
+        both, cost = block.value(whole, c)
+        jacobian = ca.mtimes(ca.diag(sign), block.jacobian(whole, c)[rows, kept])
         weight, weights = kind.sym("weight"), kind.sym("weights", len(rows))
         zeros = kind.zeros(n_rows - len(rows))
         every = _placed(kind, n_rows, rows, sign * weights, _without(n_rows, rows), zeros)
-        hessian = stage.hessian(whole, c, weight, every)[kept, kept]
+        # The solver shifts the Hessian's diagonal, so that its pattern must hold all of it.
+        hessian = block.hessian(whole, c, weight, every)[kept, kept]
         pattern = hessian.sparsity() + ca.Sparsity.diag(len(kept))
         symbols, more = [w, c, p], [w, c, p, weight, weights]
-        return StageFunctions(
+        return BlockFunctions(
             ca.Function(f"{name}_value", symbols, [ca.densify(sign * both[rows]), cost]),
             ca.Function(f"{name}_jacobian", symbols, [jacobian]),
-            ca.Function(f"{name}_gradient", symbols, [ca.densify(stage.gradient(whole, c)[kept])]),
+            ca.Function(f"{name}_gradient", symbols, [ca.densify(block.gradient(whole, c)[kept])]),
             ca.Function(f"{name}_hessian", more, [ca.project(hessian, pattern)]),
         )
 
 
-def _argument(label: Label) -> Label:
-    head, _, number = label.name.rpartition(" ")
-    horizon = head == "horizon of phase"
-    return Label("", f"horizon_{number}" if horizon else label.name, "", label.unit, label.start)
+def _argument(constant: Constant) -> Label:
+    """Label of a constant as an argument in C."""
+    if constant.role is Role.horizon:
+        return replace(constant.label, quantity=f"horizon_{constant.index}")
+    return constant.label
 
 
 def _without(n: int, taken: Sequence[int]) -> list[int]:

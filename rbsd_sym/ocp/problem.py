@@ -19,12 +19,15 @@ of a namespace `v` that returns one: `lambda v: v["arm.position"][0] ** 2 + 0.1 
 
 @dataclass(frozen=True)
 class Free:
-    """A number to be found: a horizon, a Param, or an Input over time.
+    """A number that the optimisation finds: a horizon, a Param, or an Input over time.
+
+    For example `Free(4.0, low=1.0, high=10.0)` as the horizon of a phase in s, or
+    `Free(low=-1, high=1)` as a bounded Input.
 
     Arguments:
-        guess: where the search starts; by default the model's value (Param, Input), else the middle
-            of the bounds. For an Input also a function of time.
-        low, high: bounds.
+        guess: where the search starts, in the unit of what is found; by default the model's value
+            (Param, Input), else the middle of the bounds. For an Input also a function of time.
+        low, high: bounds, in the same unit; infinite by default.
 
     Raises:
         ValueError: bounds that contradict each other or the guess.
@@ -40,14 +43,14 @@ class Free:
         if guess is None or callable(guess):
             return
         if not _finite(guess):
-            raise ValueError(f"Free: guess {guess!r}; it is a finite number")
+            raise ValueError(f"Free: guess {guess!r}; give a finite number")
         if not self.low <= guess <= self.high:
             raise ValueError(
                 f"Free: guess {guess} outside its bounds {self.low} ... {self.high}; move it inside"
             )
 
     def start(self, default: float | None = None) -> float:
-        """The guess, else the default within the bounds, else a number between them."""
+        """Return the guess, else the default moved within the bounds, else their middle."""
         if self.guess is not None and not callable(self.guess):
             return float(self.guess)
         if default is None:
@@ -58,12 +61,19 @@ class Free:
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """A condition on an expression, under a name of its own.
+    """A condition low <= expression <= high, under a name of its own.
+
+    Use it where a condition is on more than one named quantity. The name is the key under which it
+    is given: `path={"wall": Bound(lambda v: v["load.p_x"] ** 2 + v["load.p_z"] ** 2, low=1.0)}`.
+    It appears in reports and in `Solution.multipliers`, here as "path wall".
 
     Arguments:
-        expression: see `Expression`.
-        low, high: equal for an equation.
-        unit: for messages.
+        expression: a scalar, see `Expression`.
+        low, high: bounds; equal for an equation, infinite by default.
+        unit: of the expression, for messages.
+
+    Raises:
+        ValueError: bounds that are not numbers, or contradict each other.
     """
 
     expression: Expression
@@ -77,23 +87,30 @@ class Bound:
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """A stretch of the motion.
+    """A part of the motion with its own horizon, conditions and cost.
 
     Conditions are given by name: of a state, an algebraic unknown, an Input or an output (with all
     its components), or any name for a `Bound`. The value is what the quantity equals, or a pair
     (low, high), None for no bound. A vector is an array of its shape. `<body>.quaternion` and
     `<body>.rotation_matrix` equal to a target are three equations for the rotation error, which q
-    and -q meet alike.
+    and -q meet alike. For example
+
+        Phase(Free(4.0, low=1.0), end={"tip.position": (2, 0, 0)}, path={"push": (-1, 1)},
+              end_cost=rs.TIME)
 
     Arguments:
         horizon: length in s, or `Free(guess, low, high)`.
         start, end: conditions at the ends. In the first phase the states that `start` does not name
             begin where the model does (see `Problem.fixed_start`).
-        path: conditions all along, at the points of the transcription.
+        path: conditions throughout the phase, kept at the points of the transcription.
         integral: cost per second, integrated over the phase.
         end_cost: cost at the end of the phase; `TIME` there is the time of the end.
         link: states just after the start of this phase by the values `v` just before; the others
             are continuous. For the second phase and later.
+
+    Raises:
+        ValueError: a horizon that is not positive and finite.
+        TypeError: conditions that are not a mapping.
     """
 
     horizon: float | Free = 1.0
@@ -121,23 +138,30 @@ class Phase:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """An optimal control problem about a compiled model; the cost is minimised.
+    """An optimal control problem: the phases of a motion of a model, at the least cost.
+
+    It is independent of the method that transcribes it and of the solver:
+
+        problem = Problem(model, Phase(2.0, end={"cart.p_x": 3.0}, integral=force**2),
+                          inputs={"force": Free(low=-9, high=9)})
+        solution = optimise(problem, Collocation(20))
 
     Arguments:
         model: minimal or full. Where a cost or condition names a state that was left out, the model
-            is compiled again with all states (`Solution.notes` tells).
+            is compiled again with all states, and `Solution.notes` says so.
         phases: one `Phase`, or several in order.
         inputs: for every Input of the model: `Free(guess, low, high)` for one to be found, else a
             number or a function of t.
         params: by name: a value, or `Free(guess, low, high)` for one to be found. The others keep
             their default.
-        periodic: whether the end is the start again: True for all states, or the names of those
-            that are. A rotation returns to itself, whatever the sign of its quaternion.
+        periodic: whether the motion ends where it starts: True for all states, or the names of
+            those that return. A rotation returns to itself, whatever the sign of its quaternion.
         fixed_start: whether states without a start condition begin at the model's values; by
             default unless the problem is periodic.
 
     Raises:
         ValueError: unknown names, Inputs that are missing, a model with events.
+        TypeError: a model or phases of another kind.
     """
 
     model: Model
@@ -163,8 +187,8 @@ class Problem:
         _check_params(self.model, self.params)
 
     @property
-    def stretches(self) -> tuple[Phase, ...]:
-        """The phases as a tuple."""
+    def sequence(self) -> tuple[Phase, ...]:
+        """The phases in order."""
         return self.phases  # type: ignore[return-value]
 
     @property
@@ -219,14 +243,14 @@ def _check_params(model: Model, params: Mapping[str, Any]) -> None:
 
 
 def check_bounds(where: str, low: Any, high: Any, unit: str) -> None:
-    """Bounds are numbers in order.
+    """Check that bounds are numbers in order.
 
     Raises:
         ValueError: they are not.
     """
     numbers = all(is_number(v) and not isinstance(v, Scalar) for v in (low, high))
     if not numbers or np.isnan(low) or np.isnan(high):
-        raise ValueError(f"{where}: bounds {low!r} and {high!r}; they are numbers")
+        raise ValueError(f"{where}: bounds {low!r} and {high!r}; give numbers")
     unit = f" {unit}" if unit else ""
     if low > high:
         raise ValueError(

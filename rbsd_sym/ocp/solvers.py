@@ -18,8 +18,13 @@ import numpy as np
 from .nlp import Nlp
 
 
-class Outcome(Enum):
-    """How an optimisation ended; the value is the message."""
+class OptimisationOutcome(Enum):
+    """How an optimisation ended, public as `rs.ocp.Outcome`; the value is the message.
+
+    `solution.outcome.ok` is true for the first three: there is a plan that meets the conditions.
+    Of an `unstable_across_reduction` the plan holds only while nothing disturbs what the minimal
+    model left out.
+    """
 
     optimal = "optimal"
     acceptable = "the solver stopped near an optimum, short of its tolerance"
@@ -33,14 +38,20 @@ class Outcome(Enum):
     @property
     def ok(self) -> bool:
         """Whether there is a plan that meets the conditions."""
-        return self in (Outcome.optimal, Outcome.acceptable, Outcome.unstable_across_reduction)
+        kind = OptimisationOutcome
+        return self in (kind.optimal, kind.acceptable, kind.unstable_across_reduction)
 
 
 class Iteration(NamedTuple):
-    """What a progress function is called with.
+    """State of the solver at one iteration, which a progress function is called with.
+
+    For example `optimise(problem, progress=lambda it: it.number > 100 and it.violation < 1e-6)`
+    stops the solver after 100 iterations, once conditions hold.
 
     Fields:
-        violation: largest violation of an equation or bound.
+        number: from 0.
+        cost: of the current plan.
+        violation: largest violation of an equation or bound, in the unit of each.
     """
 
     number: int
@@ -52,52 +63,72 @@ Progress = Callable[[Iteration], Any]
 """Called at every iteration; stops the solver if it returns True."""
 
 
-class Answer(NamedTuple):
-    """Raw result of a solver; `seconds` is the time of the call alone."""
+class NlpAnswer(NamedTuple):
+    """Result of a solver.
+
+    Fields:
+        x, lam_x, lam_g: variables (n,), multipliers of their bounds (n,) and of the rows (m,).
+        seconds: time of the call alone.
+    """
 
     x: np.ndarray
     cost: float
     lam_x: np.ndarray
     lam_g: np.ndarray
-    outcome: Outcome
+    outcome: OptimisationOutcome
     message: str
     iterations: int
     seconds: float = 0.0
 
 
-_RELAXED = 1e-8  # by this, relative to 1 or the bound, fatrop widens bounds
+_RELAXED = 1e-8  # fatrop widens bounds by this, relative to 1 or the bound
 _IPOPT = {
-    "Solve_Succeeded": Outcome.optimal,
-    "Solved_To_Acceptable_Level": Outcome.acceptable,
-    "Feasible_Point_Found": Outcome.optimal,
-    "Search_Direction_Becomes_Too_Small": Outcome.acceptable,
-    "Infeasible_Problem_Detected": Outcome.infeasible,
-    "Restoration_Failed": Outcome.infeasible,
-    "Maximum_Iterations_Exceeded": Outcome.iteration_limit,
-    "Maximum_CpuTime_Exceeded": Outcome.iteration_limit,
-    "Maximum_WallTime_Exceeded": Outcome.iteration_limit,
-    "Invalid_Number_Detected": Outcome.not_finite,
-    "User_Requested_Stop": Outcome.stopped,
+    "Solve_Succeeded": OptimisationOutcome.optimal,
+    "Solved_To_Acceptable_Level": OptimisationOutcome.acceptable,
+    "Feasible_Point_Found": OptimisationOutcome.optimal,
+    "Search_Direction_Becomes_Too_Small": OptimisationOutcome.acceptable,
+    "Infeasible_Problem_Detected": OptimisationOutcome.infeasible,
+    "Restoration_Failed": OptimisationOutcome.infeasible,
+    "Maximum_Iterations_Exceeded": OptimisationOutcome.iteration_limit,
+    "Maximum_CpuTime_Exceeded": OptimisationOutcome.iteration_limit,
+    "Maximum_WallTime_Exceeded": OptimisationOutcome.iteration_limit,
+    "Invalid_Number_Detected": OptimisationOutcome.not_finite,
+    "User_Requested_Stop": OptimisationOutcome.stopped,
 }
 
 
 @dataclass(frozen=True)
 class Ipopt:
-    """IPOPT [Waechter, Biegler 2006] with MUMPS, exact derivatives, and no output.
+    """Interior-point solver IPOPT [Waechter, Biegler 2006], with MUMPS and exact derivatives.
+
+    It prints nothing. It is the solver for warm starts and progress functions, and the second one
+    that `optimise` tries by default. For example `optimise(problem, method,
+    solver=Ipopt(tol=1e-10, options={"mu_strategy": "adaptive"}))`.
 
     Arguments:
         tol: on the scaled optimality error.
         max_iterations: at most.
         options: more of IPOPT's options, by their names.
+
+    Raises:
+        ValueError: IPOPT refuses the options (when it is called).
     """
 
     tol: float = 1e-9
     max_iterations: int = 500
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    def solve(self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None) -> Answer:
-        """Solve from `start`: x0, and lam_x0, lam_g0 for a warm start."""
+    def solve(
+        self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None
+    ) -> NlpAnswer:
+        """Solve from the start of the program, or from `start`.
+
+        Arguments:
+            start: x0, and lam_x0, lam_g0 for a warm start; empty for the program's own start.
+            progress: called with an `Iteration` at each; returns True to stop.
+        """
         warm = "lam_g0" in start
+        # IPOPT relaxes bounds by 1e-8 by default, and then returns values outside of them.
         own = {
             "print_level": 0,
             "sb": "yes",
@@ -106,6 +137,8 @@ class Ipopt:
             "bound_relax_factor": 0.0,
         }
         if warm:
+            # By default the start is pushed away from its bounds, and the barrier starts at 0.1:
+            # both would throw away what the earlier solution knew.
             own |= {
                 "warm_start_init_point": "yes",
                 "mu_init": 1e-6,
@@ -128,28 +161,36 @@ class Ipopt:
 
 @dataclass(frozen=True)
 class Fatrop:
-    """Fatrop [Vanroye, Sathya, De Schutter, Decre 2023]: uses the chain of stages.
+    """Interior-point solver fatrop [Vanroye, Sathya, De Schutter, Decre 2023].
+
+    It makes use of the chain of blocks, so that its linear algebra takes a time proportional to
+    the number of intervals, and is the first one that `optimise` tries by default. It has neither
+    warm starts nor progress functions. For example `optimise(problem, method, solver=Fatrop(tol=
+    1e-8))`.
 
     Arguments:
         tol: on the optimality error.
         max_iterations: at most.
         options: more of fatrop's options, by their names.
+
+    Raises:
+        ValueError: fatrop refuses the options (when it is called).
     """
 
     tol: float = 1e-10
     max_iterations: int = 500
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    def solve(self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None) -> Answer:
-        """Solve from `start`: x0.
+    def solve(
+        self, nlp: Nlp, start: Mapping[str, np.ndarray], progress: Progress | None
+    ) -> NlpAnswer:
+        """Solve from the start of the program, or from x0 in `start`.
 
         Raises:
-            ValueError: a progress function, for which fatrop has no place.
+            ValueError: a progress function, which fatrop does not call.
         """
         if progress is not None:
-            raise ValueError(
-                "Fatrop: it tells of no progress; use Ipopt() with a progress function"
-            )
+            raise ValueError("Fatrop: reports no progress; use Ipopt() with a progress function")
         own = {"print_level": 0, "tol": self.tol, "max_iter": self.max_iterations}
         functions = dict(nlp.functions)
         hess = functions["nlp_hess_l"]
@@ -180,8 +221,9 @@ class Fatrop:
 
 
 def _inside(nlp: Nlp) -> dict[str, np.ndarray]:
-    """Bounds moved inwards by as much as fatrop moves them outwards."""
+    """Return bounds moved inwards by as much as fatrop moves them outwards."""
     bounds, found = nlp.bounds, {}
+    # So a plan is within the bounds that the user gave. Where there is no room inside, they stay.
     for key in ("x", "g"):
         low, high = bounds[f"lb{key}"], bounds[f"ub{key}"]
         room = [
@@ -201,8 +243,8 @@ def _called(
     options: dict[str, Any],
     start: Mapping[str, np.ndarray],
     progress: Progress | None,
-    judge: Callable[[Any], Outcome],
-) -> Answer:
+    judge: Callable[[Any], OptimisationOutcome],
+) -> NlpAnswer:
     whole = functions.pop("nlp")
     follower = _Follower(nlp, progress) if progress else None
     own = options | {
@@ -221,27 +263,23 @@ def _called(
             f"{plugin} refuses its options {options[plugin]} "
             f"({str(error).strip().splitlines()[-1]}); check their names"
         ) from error
-    messages = io.StringIO()
+    begun, messages = time.perf_counter(), io.StringIO()
     with contextlib.redirect_stdout(messages), contextlib.redirect_stderr(messages):
         try:
-            begun = time.perf_counter()
-            result = solver(**arguments)
-            seconds = time.perf_counter() - begun
-            stats = solver.stats()
+            result, stats = solver(**arguments), solver.stats()
         except RuntimeError as error:
-            result, stats = None, {"return_status": str(error).strip().splitlines()[-1]}
+            empty = {"f": math.nan, "lam_x": np.zeros(nlp.n), "lam_g": np.zeros(nlp.m)}
+            result = {"x": arguments["x0"], **empty}
+            stats = {"return_status": str(error).strip().splitlines()[-1]}
+    seconds = time.perf_counter() - begun
     if follower and follower.error:
         raise follower.error
-    if result is None:
-        empty = np.zeros(nlp.m)
-        message = str(stats["return_status"])
-        return Answer(arguments["x0"], math.nan, np.zeros(nlp.n), empty, Outcome.failed, message, 0)
     found = {key: np.array(value).reshape(-1) for key, value in result.items()}
     status = stats["return_status"]
     outcome = judge(status)
     if outcome.ok and not np.isfinite(found["x"]).all():
-        outcome = Outcome.not_finite
-    return Answer(
+        outcome = OptimisationOutcome.not_finite
+    return NlpAnswer(
         found["x"],
         float(found["f"][0]),
         found["lam_x"],
@@ -253,12 +291,12 @@ def _called(
     )
 
 
-def _ipopt_outcome(status: Any) -> Outcome:
-    return _IPOPT.get(str(status), Outcome.failed)
+def _ipopt_outcome(status: Any) -> OptimisationOutcome:
+    return _IPOPT.get(str(status), OptimisationOutcome.failed)
 
 
-def _fatrop_outcome(status: Any) -> Outcome:
-    return Outcome.optimal if str(status) == "0" else Outcome.failed
+def _fatrop_outcome(status: Any) -> OptimisationOutcome:
+    return OptimisationOutcome.optimal if str(status) == "0" else OptimisationOutcome.failed
 
 
 class _Follower(ca.Callback):

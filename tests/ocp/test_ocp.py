@@ -159,8 +159,8 @@ def test_a_phase_may_begin_with_a_jump() -> None:
     d = np.array([1.0, 0.0])
     assert found.cost == pytest.approx(d @ np.linalg.solve(G, d), rel=1e-10)
     assert found.durations == (1.0, 2.0)
-    before = found.raw.plan.legs[0].x[:, -1]
-    after = found.raw.plan.legs[1].x[:, 0]
+    before = found.raw.plan.phases[0].x[:, -1]
+    after = found.raw.plan.phases[1].x[:, 0]
     assert after == pytest.approx(before * [1, -0.5], abs=1e-9)
     assert found.flown is not None
     assert found.flown.difference < 1e-8

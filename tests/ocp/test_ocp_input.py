@@ -46,7 +46,8 @@ def ball() -> rs.Model:
 
 
 BAD: dict[str, tuple[Callable[[], Any], str]] = {
-    "unknown state": (lambda: solve(Phase(1.0, end={"cart.p_u": 1})), "no 'cart.p_u'; of 'cart'"),
+    "unknown state": (lambda: solve(Phase(1.0, end={"cart.p_u": 1})),
+                      "no 'cart.p_u'; there are: cart.p_x"),
     "unknown output": (lambda: solve(Phase(1.0, integral="cart.speed")), "no 'cart.speed'"),
     "unknown in a cost": (lambda: solve(Phase(1.0, integral=lambda v: v["x"])), "no 'x'; there"),
     "unknown input": (lambda: Problem(CART, Phase(), inputs={"pull": Free()}), "no input 'pull'"),
@@ -81,7 +82,7 @@ BAD: dict[str, tuple[Callable[[], Any], str]] = {
     "horizon": (lambda: Phase(-1.0), "horizon -1.0 s; it is positive"),
     "free horizon": (lambda: Phase(Free(1.0, low=-1)), "lower bound -1 s"),
     "first link": (lambda: solve(Phase(1.0, link={"cart.v_x": 0.0})), "first phase has a link"),
-    "link": (lambda: solve([Phase(), Phase(link={"cart.position": 0.0})]), "is no state"),
+    "link": (lambda: solve([Phase(), Phase(link={"cart.position": 0.0})]), "is not a state"),
     "start by input": (lambda: solve(Phase(1.0, start={"force": 1.0})), "which may jump"),
     "events": (lambda: Problem(ball(), Phase()), "optimal control needs smooth rates"),
     "intervals": (lambda: optimise(Problem(CART, Phase(), inputs={"force": Free()}),
