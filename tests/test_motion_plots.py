@@ -192,7 +192,7 @@ def test_show_false_hides_and_asleep_is_grey(driven: Run) -> None:
     drawn = track_of(driven)
     assert drawn.boxes.p.shape[1] == 1
     assert drawn.ends.p.shape[1] == 6  # drive, link, asleep
-    assert list(drawn.active) == [True, True, False]
+    assert (drawn.active == [True, True, False]).all()
     assert drawn.colours[2] == pytest.approx([int(ASLEEP[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     assert drawn.diameters[1] == 0.06
 

@@ -7,7 +7,7 @@ reads and its column of constants c.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -101,6 +101,23 @@ class Output:
         if self.components == ("",):
             return (Label(self.name, self.unit),)
         return tuple(Label(f"{self.name}_{part}", self.unit) for part in self.components)
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs(Mapping[str, Output]):
+    """Outputs by name; `aliases` are more names for some of them, by which they are found, too."""
+
+    named: Mapping[str, Output]
+    aliases: Mapping[str, str]
+
+    def __getitem__(self, name: str) -> Output:
+        return self.named[self.aliases.get(name, name)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.named)
+
+    def __len__(self) -> int:
+        return len(self.named)
 
 
 @dataclass(frozen=True)
