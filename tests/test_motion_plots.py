@@ -366,7 +366,7 @@ def test_a_missing_or_other_scene_is_told(two: Run, driven: Run) -> None:
         ({"size": (1, 0, 1)}, {}, r"body 'a', size: \(1, 0, 1\); it is three positive lengths"),
         ({"size": 2}, {}, "body 'a', size: 2; it is three positive lengths"),
         ({"color": "blau"}, {}, "body 'a', color: 'blau'; it is a colour of matplotlib"),
-        ({}, {"draw_size": -1}, "connector 'c', draw_size: -1; it is a positive length in m"),
+        ({}, {"draw_size": -2}, "connector 'c', draw_size: -2; it is a positive length in m"),
         ({}, {"draw_size": "big"}, "connector 'c', draw_size: 'big'; it is a positive"),
         ({}, {"color": (2, 0, 0)}, "connector 'c', color: .*colour of matplotlib"),
         ({"show": False}, {"show": False}, "show=False everywhere; .*set show=True"),

@@ -101,17 +101,18 @@ def test_joint_frames_to_world_come_from_mbs() -> None:
     for marker, R in enumerate((R0 @ TURN, R1 @ TURN.T)):
         for rows in ((0, 1), (1, 2)):
             places = [(i, j) for i in rows for j in range(3)]
-            model = compiled(revealing(
-                *(lambda g, place=place: g["mbs"].frame_to_world(g["item"], marker)[place]
-                  for place in places)
-            ))  # fmt: skip
+            model = compiled(revealing(*(
+                lambda g, i=marker, place=place: g["mbs"].frame_to_world(g["item"], i)[place]
+                for place in places
+            )))  # fmt: skip
             assert np.abs(local(model) - [R[place] for place in places]).max() < 8 * EPS
 
 
 def test_the_other_arguments() -> None:
     damping, offset = np.arange(36.0).reshape(6, 6), [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     model = compiled(revealing(
-        lambda g: g["mbs"].GetObjectParameter(0, "stiffness")[2, 2], lambda g: 3 * g["t"], lambda g: g["item"],
+        lambda g: g["mbs"].GetObjectParameter(0, "stiffness")[2, 2], lambda g: 3 * g["t"],
+        lambda g: g["item"],
         lambda g: g["stiffness"][1][1], lambda g: g["damping"][2, 5], lambda g: g["offset"][4],
     ), damping=damping, offset=offset)  # fmt: skip
     assert np.array_equal(local(model, t=0.5), [1.0, 1.5, 1.0, 5000.0, 17.0, 0.5])

@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from ..base.symbols import TIME
 from ..laws import Effect, Law, Relative, Response, SpringDamper, respond, while_on
@@ -305,10 +306,11 @@ class Reaction:
         It is one event, which must cross back before it can fire again: of two, for on and for off,
         each would see what the other has just left a rounding beyond zero.
         """
-        on, beyond = self._on, self.c[self._n_head] - 0.5
+        on, active = self._on, self.c[self._n_head]
+        zero = ca.if_else(on, active - np.nextafter(0.5, 1), 0.5 - active)  # 0.5 itself is off
         change = ca.SX.zeros(6 * self.kind.n_bodies + self.n_own)
         change[-1] = ca.if_else(on, 0, 1) - self.own[-1]
-        return kernel("switch", self.x, self.c, ca.if_else(on, beyond, -beyond), change, z=self.z)
+        return kernel("switch", self.x, self.c, zero, change, z=self.z)
 
     def user_event(self, first: int) -> ca.Function:
         """(zero function, change of velocities and own states) of a user's event."""

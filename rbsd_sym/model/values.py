@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, Union
 
+import casadi as ca
 import numpy as np
 
 from ..base.symbols import is_number
@@ -49,6 +50,9 @@ def locate(
 ) -> Point:
     """The point that vectors, names and values tell of.
 
+    Data states are as events leave them that look at inputs, parameters and time alone: a connector
+    that an Input switches is on or off as the Input is.
+
     Arguments:
         x: a state vector, values by name (of unknowns, too; the others keep their start), or a
             `Trajectory`, of which the saved point at t is taken, the last one by default, with its
@@ -61,6 +65,10 @@ def locate(
     Raises:
         ValueError: unknown names, values that are no finite numbers, a trajectory of another model.
     """
+    return _switched(model, _located(model, x, z, inputs, params, t))
+
+
+def _located(model: Model, x: Any, z: Any, inputs: Any, params: Any, t: float | None) -> Point:
     where = f"model '{model.name}'"
     if isinstance(x, Point):
         return _changed(model, x, z, inputs, params, t)
@@ -73,6 +81,27 @@ def locate(
     x0, z0 = model.dae.start_values(p)
     point = Point(time, x0, z0, _inputs(model, inputs, time), p, idle)
     return _moved(model, point, x, z)
+
+
+def _switched(model: Model, point: Point) -> Point:
+    for i in _switches(model):
+        if float(model.function("zero")(*point.arguments)[i]) < 0:
+            change = np.array(model.function("jump")(*point.arguments)[:, i]).reshape(-1)
+            point = replace(point, x=point.x + change)
+    return point
+
+
+def _switches(model: Model) -> tuple[int, ...]:
+    """Events that happen at once wherever inputs, parameters, time and data have them happen."""
+    dae = model.dae
+    if "switches" not in model.memo and dae.events:
+        moving = [dae.x[i] for i in range(model.n_x) if i not in dae.data]
+        reads = ca.jacobian_sparsity(dae.zero, ca.vertcat(dae.z, *moving))
+        looks = set(reads.row())
+        model.memo["switches"] = tuple(
+            i for i, event in enumerate(dae.events) if event.at_once and i not in looks
+        )
+    return model.memo.get("switches", ())
 
 
 def _changed(
