@@ -23,6 +23,7 @@ from .members import (
     Kinematics,
     Label,
     Output,
+    Outputs,
     Parameters,
     Part,
     Rotation,
@@ -238,6 +239,11 @@ class Dae:
     def out(self) -> ca.SX:
         """The requested outputs, stacked."""
         return ca.cse(ca.vertcat(ca.SX(0, 1), *(self.output(name) for name in self.requested)))
+
+    @property
+    def aliases(self) -> Mapping[str, str]:
+        """More names of outputs, each with the name that the output has."""
+        return self.outputs.aliases if isinstance(self.outputs, Outputs) else {}
 
     @property
     def out_labels(self) -> tuple[Label, ...]:

@@ -7,7 +7,7 @@ reads and its column of constants c.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -130,6 +130,23 @@ class RotationKind(Enum):
 
     quaternion = "unit quaternion (w, x, y, z), scalar first; q' = q (0, w) / 2"
     tait_bryan = "Tait-Bryan angles x, y, z; R = Rx Ry Rz"
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs(Mapping[str, Output]):
+    """Outputs by name; `aliases` are more names for some of them, by which they are found, too."""
+
+    named: Mapping[str, Output]
+    aliases: Mapping[str, str]
+
+    def __getitem__(self, name: str) -> Output:
+        return self.named[self.aliases.get(name, name)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.named)
+
+    def __len__(self) -> int:
+        return len(self.named)
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,9 @@ def export_c(
         ValueError: unknown function, names that collide in C, a folder that cannot be written.
     """
     model = as_model(model, "export_c").plain
-    chosen = list(functions) if functions is not None else _default(model)
-    exported = [_exported(model, name) for name in dict.fromkeys(chosen)]
+    chosen = _default(model) if functions is None else functions
+    named = (model.dae.aliases.get(name, name) for name in chosen)
+    exported = [_exported(model, name) for name in dict.fromkeys(named)]
     target = Path(folder)
     texts = {
         f"{model.name}.h": header_text(model, exported),

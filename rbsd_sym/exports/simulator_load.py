@@ -247,6 +247,7 @@ class Simulator:
             self.model.measure_all if self.model else None,
             self.model.left_out if self.model else (),
             tuple(happened),
+            self.model.dae.aliases if self.model else {},
         )
 
 

@@ -21,7 +21,7 @@ def audit(scene: Scene) -> tuple[str, ...]:
     """Notes on the connectors; a hinge about a wrong axis is warned of as well."""
     notes: list[str] = []
     for connector in scene.connectors:
-        if not connector.active:
+        if connector.idle:
             notes.append(f"connector '{connector.name}' is not active and left out")
             continue
         if connector.force is not None:

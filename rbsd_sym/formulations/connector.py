@@ -12,7 +12,13 @@ import casadi as ca
 from ..base.names import joined
 from ..base.symbols import TIME, to_expr
 from ..dae.members import Hold, Label, Part, Transition, Update
-from ..mechanics.quantities import CONNECTOR_QUANTITIES, CONNECTOR_TANGENTS, Quantity, effect_force
+from ..mechanics.quantities import (
+    CONNECTOR_ACTIVE,
+    CONNECTOR_QUANTITIES,
+    CONNECTOR_TANGENTS,
+    Quantity,
+    effect_force,
+)
 from ..scene.elements import GROUND, RigidBodySpringDamper
 from .layout import Layout
 from .pack import axes_without_inertia, compliance_column, has_mass, marker_column
@@ -71,7 +77,7 @@ class ConnectorWriter:
             for i, effect in enumerate(self._effects)
             if not effect.whole
         ]
-        return [*CONNECTOR_QUANTITIES, *CONNECTOR_TANGENTS, *forces]
+        return [*CONNECTOR_QUANTITIES, *CONNECTOR_TANGENTS, CONNECTOR_ACTIVE, *forces]
 
     @cached_property
     def kind(self) -> Kind:
@@ -87,6 +93,8 @@ class ConnectorWriter:
             self.layout.scene.traced[self.index],
             structures,
             len(self.connector.data) if self.connector.acts else 0,
+            None if self.connector.switched else self.connector.active,
+            self.connector.acts and self.connector.switches,
         )
 
     @property
@@ -95,7 +103,7 @@ class ConnectorWriter:
 
     @cached_property
     def constants(self) -> ca.SX:
-        """Markers, numbers, compliances, symbols of the user functions, numbers of the effects."""
+        """Markers, numbers, compliances, switch, symbols of user functions, numbers of effects."""
         connector, bodies = self.connector, [self.layout.scene.bodies[i] for i in self.carriers]
         columns = []
         for m, place, joint in zip(
@@ -105,7 +113,7 @@ class ConnectorWriter:
             strict=True,
         ):
             columns.append(marker_column(m, None if place is None else bodies[place], joint))
-        acting = 1.0 if connector.active else 0.0
+        acting = 0.0 if connector.idle else 1.0
         columns += [
             ca.vec(acting * to_expr(connector.stiffness)),
             ca.vec(acting * to_expr(connector.damping)),
@@ -113,6 +121,7 @@ class ConnectorWriter:
             to_expr(connector.velocity_offset),
         ]
         columns += [compliance_column(body) for body in bodies]
+        columns += [to_expr(connector.active)] if connector.switched else []
         columns += [traced.values for traced in self.kind.functions if traced]
         columns += [effect.column for effect in self._effects]
         return ca.vertcat(*columns)
@@ -170,8 +179,13 @@ class ConnectorWriter:
                 )
 
     def events(self) -> list[Transition]:
-        """The events of its effects, in order, then those of the user."""
-        name, found, names = self.connector.name, [], []
+        """Being switched, the events of its effects, in order, then those of the user."""
+        name, found, names = self.connector.name, list[Transition](), list[str]()
+        if self.kind.switches:
+            kernel = self._kept("switch", lambda: self.reaction.switch())
+            names.append("switches")
+            label = joined(name, names[-1])
+            found.append(Transition(label, kernel, *self._place, self._changes, at_once=True))
         for k, (i, change) in enumerate(self.reaction.changes()):
             kernel = self._kept(("event", k), partial(self.reaction.change, i, change))
             names.append(f"{self._effects[i].label}_{change.name}")

@@ -9,10 +9,12 @@ import casadi as ca
 
 from ..base.names import near
 from ..base.symbols import to_expr
-from ..dae.members import Output
+from ..dae.members import Output, Outputs
 from ..mechanics.quantities import (
     BODY_QUANTITIES,
+    CONNECTOR_ACTIVE,
     CONNECTOR_TANGENTS,
+    DOCUMENTED,
     SCENE_QUANTITIES,
     BodyView,
     Quantity,
@@ -32,8 +34,11 @@ class OutputWriter:
     connectors: tuple[ConnectorWriter, ...]
     cache: dict[Hashable, ca.Function]
 
-    def write(self) -> dict[str, Output]:
-        """Every output by name: <body>.<quantity>, <connector>.<quantity>, <quantity>."""
+    def write(self) -> Outputs:
+        """Every output by name: <body>.<quantity>, <connector>.<quantity>, <quantity>.
+
+        Those of connectors have their documented names as well.
+        """
         outputs: dict[str, Output] = {}
 
         def add(
@@ -68,12 +73,14 @@ class OutputWriter:
         unknown = tuple(row for writer in self.connectors for row in writer.reads_z)
         for q in SCENE_QUANTITIES:
             add("", q, (*bodies, *own), lambda q=q: self._of_scene(q), unknown)
-        return outputs
+        owners = [writer.connector.name for writer in self.connectors]
+        also = {f"{owner}.{a}": f"{owner}.{b}" for owner in owners for a, b in DOCUMENTED.items()}
+        return Outputs(outputs, also)
 
-    def requested(self, outputs: dict[str, Output]) -> tuple[str, ...]:
+    def requested(self, outputs: Outputs) -> tuple[str, ...]:
         """Names of the outputs in `out`: those the scene asks for, or all of a small scene.
 
-        All of it but tangents, and what belongs to connectors that are not active.
+        All of it but tangents and `active`, and what belongs to connectors that never act.
 
         Raises:
             ValueError: an unknown name.
@@ -81,8 +88,8 @@ class OutputWriter:
         scene = self.layout.scene
         if scene.outputs is None:
             small = len(scene.bodies) + len(scene.connectors) <= _ALL_UP_TO
-            idle = {c.name for c in scene.connectors if not c.active}
-            asked = {q.name for q in CONNECTOR_TANGENTS}
+            idle = {c.name for c in scene.connectors if c.idle}
+            asked = {q.name for q in (*CONNECTOR_TANGENTS, CONNECTOR_ACTIVE)}
             return tuple(
                 name
                 for name, output in outputs.items()
@@ -94,7 +101,7 @@ class OutputWriter:
                     f"scene '{scene.name}', outputs: no output '{name}'; there are: "
                     + near(name, outputs)
                 )
-        return tuple(scene.outputs)
+        return tuple(outputs[name].name for name in scene.outputs)
 
     def _view(self, x: ca.SX, c: ca.SX) -> BodyView:
         inertia = ca.reshape(c[1:10], 3, 3)

@@ -123,7 +123,7 @@ def written_in(scene: Scene, Q: np.ndarray, origin: np.ndarray, place: int = 2) 
     written = replace(
         scene,
         bodies=[body_in(body, axes) for body in scene.bodies],
-        connectors=[connector_in(c, Q, axes) for c in scene.connectors],
+        connectors=[connector_in(scene, i, Q, axes) for i in range(len(scene.connectors))],
         loads=[load_in(load, axes) for load in scene.loads],
         gravity=times(Q.T, scene.gravity),
     )
@@ -238,7 +238,7 @@ def _see(scene: Scene) -> _Start:
         speeds.append(at_default(body.velocity) + R[body.name] @ np.cross(w, com))
         turning.append(R[body.name] @ w)
         inertias.append(R[body.name] @ at_default(body.inertia) @ R[body.name].T)
-    for c in (c for c in scene.connectors if c.active):
+    for c in (c for c in scene.connectors if not c.idle):
         A = (
             R[c.marker0.body]
             @ matrix_at_start(c.marker0.rotation)

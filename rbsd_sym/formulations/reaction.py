@@ -8,10 +8,11 @@ from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from ..base.symbols import TIME
 from ..dae.members import RotationKind
-from ..laws import Effect, Law, Relative, Response, SpringDamper, respond
+from ..laws import Effect, Law, Relative, Response, SpringDamper, respond, while_on
 from ..laws.effect import Change
 from ..mechanics.motion import (
     Body,
@@ -38,7 +39,8 @@ class Kind:
     """What two connectors must have in common to share their kernels.
 
     `places` says for each marker which of the connector's bodies carries it, None for the ground;
-    `effects` are the structures of the effects.
+    `effects` are the structures of the effects; `active` is None where a number decides, and
+    `switches` says that events do, by the last of its own states.
     """
 
     law: Law
@@ -46,6 +48,8 @@ class Kind:
     functions: Functions
     effects: tuple[Any, ...]
     n_data: int
+    active: bool | None
+    switches: bool
 
     @property
     def n_bodies(self) -> int:
@@ -90,7 +94,8 @@ class Reaction:
     @property
     def n_own(self) -> int:
         """Its data and internal states."""
-        return self.kind.n_data + sum(len(effect.own) for effect in self.effects)
+        of_effects = sum(len(effect.own) for effect in self.effects)
+        return self.kind.n_data + of_effects + self.kind.switches
 
     @cached_property
     def z(self) -> ca.SX:
@@ -112,10 +117,21 @@ class Reaction:
         """Its bodies."""
         return [self.layout.body(part) for part in self.layout.split(self.x[: self.n_body_rows])]
 
+    @property
+    def _n_head(self) -> int:
+        return 2 * MARKER + _NUMBERS + COMPLIANCE * self.kind.n_bodies
+
+    @cached_property
+    def _on(self) -> ca.SX | None:
+        """Condition under which the connector acts; None if it never changes."""
+        if self.kind.active is not None:
+            return None
+        return (self.own[-1] if self.kind.switches else self.c[self._n_head]) > 0.5
+
     @cached_property
     def _tail(self) -> ca.SX:
-        """Constants after markers, numbers and compliances."""
-        return self.c[2 * MARKER + _NUMBERS + COMPLIANCE * self.kind.n_bodies :]
+        """Constants after markers, numbers, compliances and the switch."""
+        return self.c[self._n_head + (self.kind.active is None) :]
 
     def _leaves(self, name: str) -> ca.SX:
         """Values of the symbols that a user function uses."""
@@ -158,6 +174,7 @@ class Reaction:
             self.z,
             kind.n_data,
             self._gives,
+            self._on,
         )
         answer = partial(respond, kind.law, numbers, TIME.expr)
         return _Sight(answer(*motions), answer, markers, motions, bodies)
@@ -229,7 +246,8 @@ class Reaction:
         )
 
     def _own_rates(self, response: Response) -> ca.SX:
-        return ca.vertcat(ca.SX.zeros(self.kind.n_data), *(a.rates for a in response.answers))
+        still = ca.SX.zeros(self.kind.n_data), ca.SX.zeros(int(self.kind.switches))
+        return ca.vertcat(still[0], *(a.rates for a in response.answers), still[1])
 
     def hold(self, index: int) -> ca.Function:
         """(rate that effect `index` holds, weight of its derivative in the equation)."""
@@ -253,6 +271,11 @@ class Reaction:
             zero, own = ca.if_else(left > 0, zero, 1), left * own
             impulse[effects[index].axis] = left * change.impulse  # type: ignore[attr-defined]
         jump = ca.vertcat(self._impulse(impulse, relative), own)
+        return self._event(zero, jump)
+
+    def _event(self, zero: ca.SX, jump: ca.SX) -> ca.Function:
+        """An event, which does not happen while the connector is off."""
+        zero, jump = while_on(self._on, zero, 1), while_on(self._on, jump)
         return kernel("event", self.x, self.c, zero, jump, z=self.z)
 
     def _left(self, index: int) -> ca.SX:
@@ -280,6 +303,18 @@ class Reaction:
             TIME.expr, relative.strain, relative.rate, *frames, data, self._leaves(name)
         )
 
+    def switch(self) -> ca.Function:
+        """(zero function, change of velocities and own states) where it is switched on or off.
+
+        It is one event, which must cross back before it can fire again: of two, for on and for off,
+        each would see what the other has just left a rounding beyond zero.
+        """
+        on, active = self._on, self.c[self._n_head]
+        zero = ca.if_else(on, active - np.nextafter(0.5, 1), 0.5 - active)  # 0.5 itself is off
+        change = ca.SX.zeros(6 * self.kind.n_bodies + self.n_own)
+        change[-1] = ca.if_else(on, 0, 1) - self.own[-1]
+        return kernel("switch", self.x, self.c, zero, change, z=self.z)
+
     def user_event(self, first: int) -> ca.Function:
         """(zero function, change of velocities and own states) of a user's event."""
         n, relative = self.kind.n_data, self._sight.response.relative
@@ -288,11 +323,13 @@ class Reaction:
         if n:
             own[:n] = block[7:] - self.own[:n]
         jump = ca.vertcat(self._impulse(block[1:7], relative), own)
-        return kernel("event", self.x, self.c, block[0], jump, z=self.z)
+        return self._event(block[0], jump)
 
     def update(self) -> ca.Function:
         """(error, recommended step, new data) of the user's post_newton_step."""
         block = self._user("post_newton")
+        still = ca.vertcat(0, -1, self.own[: self.kind.n_data])
+        block = while_on(self._on, block, still)
         return kernel("post_newton", self.x, self.c, block[0], block[1], block[2:], z=self.z)
 
     def measure(self, quantity: Quantity) -> ca.Function:
@@ -307,8 +344,9 @@ class Reaction:
         if x.numel():
             stored_rate += ca.jtimes(energy, x, ca.vertcat(*rates))
         given = power(response.wrench0, motions[0]) + power(response.wrench1, motions[1])
+        active = ca.SX(self.kind.active) if self._on is None else self._on
         tangents = (partial(_tangent, sight, held) for held in (False, True))
-        value = quantity.measure(ConnectorView(response, stored_rate, given, *tangents))
+        value = quantity.measure(ConnectorView(response, stored_rate, given, active, *tangents))
         return kernel(quantity.name, x, ca.vertcat(self.c, c_rate), value, z=self.z)
 
 

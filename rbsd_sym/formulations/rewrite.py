@@ -13,6 +13,8 @@ import numpy as np
 from ..base.checks import at_default, is_symbolic
 from ..base.symbols import Scalar, leaves_of, to_expr
 from ..scene.elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
+from ..scene.mbs import Mbs, seen_as
+from ..scene.scene import Scene
 from .pack import rotation_pair
 
 ROUNDING = 16 * float(np.finfo(float).eps)  # of a few products of rotations and vectors
@@ -153,13 +155,14 @@ def body_in(body: RigidBody, axes: dict[str, Axes]) -> RigidBody:
 
 
 def connector_in(
-    c: RigidBodySpringDamper, Q: np.ndarray, axes: dict[str, Axes]
+    scene: Scene, item: int, Q: np.ndarray, axes: dict[str, Axes]
 ) -> RigidBodySpringDamper:
-    """The connector, its joint frames made part of the markers where both are numbers.
+    """A connector of a scene, its joint frames made part of the markers where both are numbers.
 
     Joint frames oblique to all axes of N are turned to be parallel, with K, D and offsets, where
-    the law allows it.
+    the law allows it. User functions see the scene as it was given.
     """
+    c = scene.connectors[item]
     frames = [(getattr(c, f"marker{i}"), getattr(c, f"rotation_marker{i}")) for i in "01"]
     if not any(is_symbolic(m.rotation) or is_symbolic(joint) for m, joint in frames):
         frames = [
@@ -176,8 +179,7 @@ def connector_in(
         marker0 = replace(marker0, rotation=EYE)
         marker1 = replace(marker1, rotation=snap_rotation(marker1.rotation @ P))
         changes = _turned(c, P.T)
-    if (Q != EYE).any():  # users are told rotJ0 and rotJ1 in world axes
-        changes |= {name: _turning(user, Q) for name, user in users.items() if user}
+    changes |= {name: _as_given(user, scene, Q) for name, user in users.items() if user}
     return replace(
         c,
         marker0=marker0,
@@ -188,9 +190,15 @@ def connector_in(
     )
 
 
-def _turning(user: Any, Q: np.ndarray) -> Any:
-    """A user function that is told frames in the new world axes, given those in its own."""
-    return wraps(user)(lambda *a: user(*a[:-3], Q @ a[-3], Q @ a[-2], a[-1]))
+def _as_given(user: Any, scene: Scene, Q: np.ndarray) -> Any:
+    """A user function that is called as it was before the scene was written in other axes."""
+
+    @wraps(user)
+    def called(mbs: Mbs, *rest: Any) -> Any:
+        seen, rotJ0, rotJ1 = seen_as(mbs, scene.connectors, Q)
+        return user(seen, *rest[:-3], rotJ0, rotJ1, rest[-1])
+
+    return called
 
 
 def _turned(c: RigidBodySpringDamper, R: np.ndarray) -> dict[str, np.ndarray]:

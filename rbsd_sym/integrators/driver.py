@@ -297,6 +297,7 @@ def assemble(
         model.measure_all,
         model.left_out,
         tuple((float(t), name) for t, name in events),
+        dae.aliases,
     )
 
 

@@ -6,12 +6,12 @@ add forces along one component of them.
 
 from .consistent import Consistent
 from .contact import Contact, stops
-from .effect import AXES, Effect, Own
+from .effect import AXES, Effect, Own, value_at_default
 from .fracture import Fracture
 from .friction import Friction, LuGre
 from .impact import Impact
 from .intrinsic import Intrinsic
-from .law import Law, Relative, Response, SpringDamper, respond
+from .law import Law, Relative, Response, SpringDamper, respond, while_on
 from .maxwell import Maxwell
 from .plastic import Plastic
 from .standard import Standard
@@ -39,4 +39,6 @@ __all__ = [
     "Table",
     "respond",
     "stops",
+    "value_at_default",
+    "while_on",
 ]

@@ -57,6 +57,7 @@ class SpringDamper(NamedTuple):
         effects: with symbols for their numbers, and `own` and `unknown`, their states and unknown
             forces; the first `n_data` of own are the connector's own data.
         gives: (relative, axis) -> how much the rate along the axis falls for a unit impulse.
+        on: condition under which the connector acts; None if it always does.
     """
 
     stiffness: ca.SX
@@ -69,6 +70,7 @@ class SpringDamper(NamedTuple):
     unknown: ca.SX = ca.SX(0, 1)
     n_data: int = 0
     gives: Callable[[Relative, int], ca.SX] = _weightless
+    on: ca.SX | None = None
 
 
 class Response(NamedTuple):
@@ -92,7 +94,8 @@ def respond(
     """Force K (strain - offset) + D (rate - velocity_offset), or the user's, and its energies.
 
     Effects add theirs. With a user force no potential is known: stored energy and dissipation count
-    as zero, and all of its power is injected power.
+    as zero, and all of its power is injected power. While the connector is off, force and energies
+    are zero and the states of its effects rest.
     """
     relative = law.relative(motion0, motion1)
     stretch = relative.strain - numbers.offset
@@ -106,11 +109,32 @@ def respond(
         R_WA, R_WC = motion0.frame.R_WA, motion1.frame.R_WA
         data = numbers.own[: numbers.n_data]
         force = numbers.user_force(t, relative.strain, relative.rate, R_WA, R_WC, data)
-    total = _Total(force, energy, dissipated)
+    total = _Total(*(while_on(numbers.on, value) for value in (force, energy, dissipated)))
     answers = _answers(numbers, t, relative, total)
     wrench0, wrench1 = relative.transmit(total.force)
     return Response(
         relative, total.force, wrench0, wrench1, total.energy, total.dissipated, answers
+    )
+
+
+def while_on(on: ca.SX | None, value: ca.SX, off: ca.SX | float = 0) -> ca.SX:
+    """The value where the connector acts, else what it is off.
+
+    It is chosen, not multiplied: what is infinite or NaN while off leaves no trace, also in
+    derivatives.
+    """
+    return value if on is None or not value.numel() else ca.if_else(on, value, off)
+
+
+def _answer_while_on(on: ca.SX | None, answer: Answer, unknown: ca.SX) -> Answer:
+    """An answer that is none while the connector is off; an unknown force is then zero."""
+    return answer._replace(
+        force=while_on(on, answer.force),
+        energy=while_on(on, answer.energy),
+        dissipated=while_on(on, answer.dissipated),
+        rates=while_on(on, answer.rates),
+        equation=while_on(on, answer.equation, unknown),
+        held=while_on(on, answer.held),
     )
 
 
@@ -156,7 +180,7 @@ def _answers(
             total.energy,
             forces,
         )
-        answer = effect.answer(sight)
+        answer = _answer_while_on(numbers.on, effect.answer(sight), sight.unknown)
         forces[effect.label] = answer.force
         total.add(effect, answer)
         answers.append(answer)

@@ -84,6 +84,7 @@ class ConnectorView(NamedTuple):
     Fields:
         response: strain, force, wrenches, energies.
         stored_rate: time derivative of the stored energy, and `given` the power on the bodies.
+        active: 1 where the connector acts, else 0.
         by_position, by_velocity: derivatives (12, 12) of the wrenches [f0; tau0; f1; tau1] by
             small motions of the markers [p0; turn 0; p1; turn 1], and by their velocities.
     """
@@ -91,6 +92,7 @@ class ConnectorView(NamedTuple):
     response: Any  # laws.Response
     stored_rate: ca.SX
     given: ca.SX
+    active: ca.SX
     by_position: Callable[[], ca.SX]
     by_velocity: Callable[[], ca.SX]
 
@@ -137,6 +139,19 @@ CONNECTOR_TANGENTS = (
 )
 """Minus the derivatives of the wrenches on both markers, world axes (see `ConnectorView`), row by
 row: a spring that resists is positive. Turns are small rotations about world axes."""
+
+CONNECTOR_ACTIVE = Quantity("active", "", lambda view: view.active)
+
+DOCUMENTED = {
+    "DisplacementLocal": "displacement_local",
+    "VelocityLocal": "velocity_local",
+    "Rotation": "rotation",
+    "AngularVelocityLocal": "angular_velocity_local",
+    "ForceLocal": "force_local",
+    "TorqueLocal": "torque_local",
+    "activeConnector": CONNECTOR_ACTIVE.name,
+}
+"""Quantities of a connector by the names that the element's documentation gives them."""
 
 
 @cache

@@ -56,7 +56,8 @@ def scatter_add(terms: Sequence[_Term], size: int) -> ca.MX:
     """Column (size, 1) of the sums of all values at each place: linear in their number."""
     if not terms or not size:
         return ca.MX(ca.DM.zeros(size, 1))
-    stack = ca.vertcat(*(ca.vec(term.values) for term in terms), 0)
+    # CasADi makes values that are all zero, such as the slope of a switch, a sparse column.
+    stack = ca.vertcat(*(ca.densify(ca.vec(term.values)) for term in terms), 0)
     places = np.concatenate([term.places.T.reshape(-1) for term in terms])
     sources = np.flatnonzero(places >= 0)
     order = sources[np.argsort(places[sources], kind="stable")]

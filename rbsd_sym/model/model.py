@@ -169,6 +169,7 @@ class Model:
 
     def function(self, name: str) -> ca.Function:
         """The CasADi Function of that name, built at the first call."""
+        name = self.dae.aliases.get(name, name)
         if name in self.library:
             return self.library[name]
         return self.cached(("function", name), lambda: self._built(name))
@@ -272,6 +273,7 @@ class Model:
 
     def measure_all(self, names: Sequence[str], trajectory: Trajectory) -> list[Column]:
         """`measure` for many names: their outputs in one Function, which is much faster."""
+        names = [self.dae.aliases.get(name, name) for name in names]
         together = [name for name in dict.fromkeys(names) if name in self.dae.outputs]
         if len(together) < 2:
             return [self.measure(name, trajectory) for name in names]

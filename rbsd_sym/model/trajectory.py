@@ -69,6 +69,7 @@ class Trajectory:
         digest: of the model.
         also: states the model left out; evaluated on demand, and always saved.
         events: (time in s, name) of each event, in the order in which they happened.
+        aliases: more names of columns, each with the name that the column has.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Trajectory:
     )
     also: tuple[str, ...] = ()
     events: tuple[tuple[float, str], ...] = ()
+    aliases: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """What is sent to other processes: the columns evaluated so far, not the model."""
@@ -142,6 +144,7 @@ class Trajectory:
         Raises:
             ValueError: no such column.
         """
+        name = self.aliases.get(name, name)
         if name not in self.columns and name in self.parameters:
             return Column(np.full(len(self.t), self.parameters[name]), "")
         self.evaluate([name])
@@ -153,7 +156,8 @@ class Trajectory:
         Raises:
             ValueError: no such column.
         """
-        missing = [name for name in names if name not in self.columns]
+        known = dict.fromkeys(self.aliases.get(name, name) for name in names)
+        missing = [name for name in known if name not in self.columns]
         if not missing:
             return
         if self.more is None:
@@ -188,6 +192,7 @@ class Trajectory:
             "digest": self.digest,
             "columns": [[key, c.unit, c.components] for key, c in self.columns.items()],
             "events": self.events,
+            "aliases": {also: name for also, name in self.aliases.items() if name in self.columns},
         }
         arrays: dict[str, Any] = {
             f"column_{i}": c.values for i, c in enumerate(self.columns.values())
@@ -226,6 +231,7 @@ class Trajectory:
             tuple(header["states"]),
             header["digest"],
             events=tuple((float(at), str(name)) for at, name in header.get("events", ())),
+            aliases=header.get("aliases", {}),
         )
 
     def __str__(self) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeAlias, TypedDict, Union
 
+import casadi as ca
 import numpy as np
 
 from ..base.symbols import is_number
@@ -102,6 +103,9 @@ def make_experiment(
 ) -> Experiment:
     """Turn times, and values by name, into the checked vectors of an `Experiment`.
 
+    Data states are as events leave them that look at inputs, parameters and time alone: a connector
+    that an Input switches is on or off as the Input is.
+
     Arguments:
         times: the end in s (from 0, in 200 intervals), or increasing output times.
         inputs, params, start: as in `simulate`.
@@ -188,7 +192,31 @@ def locate(
     now = {name: value_at(value, base.t) for name, value in (inputs or {}).items()}
     u = filled(model, "input", dae.u_labels, base.u, now)
     x, z = _started(model, base.x, base.z, start, "point")
-    return Point(base.t, x, z, u, values[: model.n_p], values[model.n_p :])
+    return _switched(model, Point(base.t, x, z, u, values[: model.n_p], values[model.n_p :]))
+
+
+def _switched(model: Model, point: Point) -> Point:
+    """The point with the data states that inputs, parameters and the time alone decide."""
+    for i in _switches(model):
+        if float(model.function("zero")(*point.arguments)[i]) < 0:
+            change = np.array(model.function("jump")(*point.arguments)[:, i]).reshape(-1)
+            point = replace(point, x=point.x + change)
+    return point
+
+
+def _switches(model: Model) -> tuple[int, ...]:
+    """Events that happen at once wherever inputs, parameters, time and data have them happen."""
+    dae = model.dae
+    if not dae.events:
+        return ()
+
+    def build() -> tuple[int, ...]:
+        moving = [dae.x[i] for i in range(model.n_x) if i not in dae.data]
+        depends = set(ca.jacobian_sparsity(dae.zero, ca.vertcat(dae.z, *moving)).row())
+        events = enumerate(dae.events)
+        return tuple(i for i, event in events if event.at_once and i not in depends)
+
+    return model.cached("switches", build)
 
 
 def _of_this_model(model: Model, point: Point) -> Point:

@@ -276,7 +276,7 @@ class Stage:
             ends, turns = track.ends.p[k, 2 * i : 2 * i + 2], track.ends.R[k, 2 * i : 2 * i + 2]
             path, colour = spring(ends[0], ends[1], turns[0][:, 2], diameter), track.colours[i]
             dashes = [path[j : j + 3] for j in range(0, len(path) - 1, 4)]  # of one that sleeps
-            every = [path] if track.active[i] else dashes
+            every = [path] if track.active[k, i] else dashes
             whole += [Polyline(dash, tuple(colour), 1.1) for dash in every]
             for place, turn in zip(ends, turns, strict=True):
                 whole += [

@@ -102,7 +102,7 @@ class Track:
         boxes, edges, fills: frames at the boxes' centres, edges (B, 3), colours (B, 3).
         ends: joint frames of the connectors' markers, two each: 0, 1, 0, 1, ...
         fixed: which of these are on the ground.
-        diameters, colours, active: of the springs.
+        diameters, colours: of the springs; active: whether they act (n, springs).
         arrows: (name, unit, tails (n, 3), vectors (n, 3)) of forces and torques.
         extent: largest side of all that is shown, m.
         up: against gravity, or z without gravity (3,).
@@ -188,7 +188,7 @@ def track(drawing: Drawing, source: Source, t: np.ndarray) -> Track:
         np.array([m.body == GROUND for c in connectors for m in c.markers], bool),
         np.array(diameters, float),
         np.array([c.color for c in connectors]).reshape(-1, 3),
-        np.array([c.active for c in connectors], bool),
+        source.numbers([c.active for c in connectors], t) > 0.5,
         arrows,
         extent,
         -gravity / size if size else np.array([0.0, 0.0, 1.0]),

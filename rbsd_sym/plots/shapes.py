@@ -44,7 +44,7 @@ class ConnectorDrawing:
     diameter: float | None
     color: tuple[float, ...]
     show: bool
-    active: bool
+    active: Any  # a bool, or a number that is on above 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def _connector(c: RigidBodySpringDamper) -> ConnectorDrawing:
     diameter = c.draw_size
     if diameter is not None:
         diameter = float(_lengths(diameter, (), f"{where}, draw_size"))
-    color = _colour(c.color, SPRING if c.active else ASLEEP, where)
+    color = _colour(c.color, ASLEEP if c.idle else SPRING, where)
     turned = (c.rotation_marker0, c.rotation_marker1)
     return ConnectorDrawing(
         c.name, (c.marker0, c.marker1), turned, diameter, color, c.show, c.active

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..base import checks
 from ..base.names import check_identifier
-from ..base.symbols import Param, Scalar, is_number, leaves_of
-from ..laws import AXES, Effect, Law, Own, Standard
+from ..base.symbols import Leaf, Param, Scalar, is_number, leaves_of
+from ..laws import AXES, Effect, Law, Own, Standard, value_at_default
 
 GROUND = "ground"
 """The world as a body: `Marker(GROUND, position)`."""
@@ -70,6 +70,7 @@ class RigidBody:
         _check_mass(where, mass, inertia)
         _set(
             self,
+            show=_flag(self.show, f"{where}, show"),
             mass=mass[()],
             inertia=inertia,
             com=checks.numbers(self.com, (3,), f"{where}, com", "m"),
@@ -89,7 +90,7 @@ class RigidBody:
             "velocity",
             "angular_velocity",
         ):
-            varying = [v for v in leaves_of(getattr(self, name)) if not isinstance(v, Param)]
+            varying = _varying(getattr(self, name))
             if varying:
                 raise ValueError(
                     f"{where}, {name}: depends on '{varying[0].name}', which varies in time; mass "
@@ -149,9 +150,11 @@ class RigidBodySpringDamper:
         rotation_marker0, rotation_marker1: joint frame to marker; A_i = R_body R_marker R_joint.
         law: `Standard()`, `Intrinsic()` or `Consistent()`.
         force: user function (mbs, t, item, displacement, rotation, velocity, angular_velocity,
-            stiffness, damping, rotJ0, rotJ1, offset) -> 6 numbers, called once with symbols. mbs is
-            None, item the connector's index; rotJ0 and rotJ1 are A_0 and A_1 (joint frame to
-            world). It replaces the linear force. If it takes 13 arguments, data comes after item.
+            stiffness, damping, rotJ0, rotJ1, offset) -> 6 numbers, called once with symbols. `mbs`
+            reads the scene (`scene.mbs.Mbs`), item is the connector's index; stiffness, damping,
+            rotJ0, rotJ1 (rotation_marker0 and 1, 3x3) and offset are copies. The joint frames to
+            world A_0 and A_1 are mbs.frame_to_world(item, 0) and (item, 1). It replaces the linear
+            force. If it takes 13 arguments, data comes after item.
         data: start values of data states, `<name>.data_0` ...: constant but for events and
             post_newton_step.
         post_newton_step: user function with the arguments of force and data after item -> [error,
@@ -160,14 +163,21 @@ class RigidBodySpringDamper:
         effects: laws along one axis, or on the whole, added to the wrench: `Contact`, `Friction`,
             `Plastic`, `Fracture`, ... Their states are `<name>.<effect>_<state>`, their forces the
             outputs `<name>.<effect>`, such as `floor.contact_z`.
-        active: False gives no force and costs nothing.
-        show, draw_size, color: drawing only; draw_size is the spring's diameter, m.
+        active: False gives no force and costs nothing. A Param, an Input or an expression of them
+            and TIME switches the connector, which is on above 0.5. While off it gives no force and
+            stores no energy, none of its events happen, and its states keep their values; strain
+            and rate are measured. An Input or TIME switches it by the event `<name>.switches`,
+            which keeps the data state `<name>.active`, 1 or 0.
+        show, draw_size, color: drawing only; draw_size is the spring's diameter, m. None, and the
+            documented -1 and (-1, -1, -1, -1), mean the default.
+
+    The outputs answer to their documented names, too: `<name>.ForceLocal` is `<name>.force_local`.
     """
 
     name: str
     marker0: Marker
     marker1: Marker
-    stiffness: Numbers
+    stiffness: Numbers = 0
     damping: Numbers = 0
     offset: Numbers = 0
     velocity_offset: Numbers = 0
@@ -177,7 +187,7 @@ class RigidBodySpringDamper:
     force: Callable[..., Any] | None = None
     post_newton_step: Callable[..., Any] | None = None
     data: Sequence[float] = ()
-    active: bool = True
+    active: Any = True
     show: bool = True
     draw_size: float | None = None
     color: Any = None
@@ -199,7 +209,9 @@ class RigidBodySpringDamper:
         stiffness = checks.matrix6(self.stiffness, f"{where}, stiffness")
         if self.law.needs_symmetric_stiffness:
             _check_symmetric(stiffness, f"{where}, stiffness")
+        active = _active(self.active, where)
         effects = _effects(self.effects, where)
+        _check_switch(active, effects, where)
         for effect in effects:
             if self.force is not None and effect.needs_potential:
                 raise ValueError(
@@ -209,6 +221,10 @@ class RigidBodySpringDamper:
         _set(
             self,
             data=_data(self.data, where),
+            active=active,
+            show=_flag(self.show, f"{where}, show"),
+            draw_size=None if _is_default(self.draw_size, ()) else self.draw_size,
+            color=None if _is_default(self.color, (4,)) else self.color,
             effects=effects,
             stiffness=stiffness,
             damping=checks.matrix6(self.damping, f"{where}, damping"),
@@ -219,22 +235,81 @@ class RigidBodySpringDamper:
         )
 
     @property
+    def idle(self) -> bool:
+        """Whether it never acts."""
+        return self.active is False
+
+    @property
+    def switched(self) -> bool:
+        """Whether a number decides if it acts."""
+        return isinstance(self.active, Scalar)
+
+    @property
+    def switches(self) -> bool:
+        """Whether that number may change during a run."""
+        return self.switched and bool(_varying(self.active))
+
+    @property
     def acts(self) -> bool:
-        """Whether it is active and touches a body."""
-        return self.active and not self.marker0.body == self.marker1.body == GROUND
+        """Whether it may act and touches a body."""
+        return not self.idle and not self.marker0.body == self.marker1.body == GROUND
 
     @property
     def own(self) -> tuple[Own, ...]:
         """Its data and internal states, named within the connector."""
         data = [Own(f"data_{i}", start=float(v), data=True) for i, v in enumerate(self.data)]
         of_effects = [o._replace(name=f"{e.label}_{o.name}") for e in self.effects for o in e.own]
-        return (*data, *of_effects) if self.acts else ()
+        switch = [Own("active", start=float(value_at_default(self.active) > 0.5), data=True)]
+        return (*data, *of_effects, *(switch if self.switches else ())) if self.acts else ()
 
     @property
     def unknowns(self) -> tuple[Own, ...]:
         """Its unknown forces, named within the connector."""
         named = [o._replace(name=f"{e.label}_{o.name}") for e in self.effects for o in e.unknowns]
         return tuple(named) if self.acts else ()
+
+
+def _flag(value: Any, where: str) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{where}: {value!r} is {type(value).__name__}; give True or False")
+    return bool(value)
+
+
+def _is_default(value: Any, shape: tuple[int, ...]) -> bool:
+    """Whether it is the documented -1, or a colour that begins with -1."""
+    try:
+        numbers = np.array(value, float)
+    except (TypeError, ValueError):
+        return False
+    return numbers.shape == shape and bool(numbers.reshape(-1)[0] == -1)
+
+
+def _active(value: Any, where: str) -> bool | Scalar:
+    if isinstance(value, Scalar):
+        return value
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(
+            f"{where}, active: {value!r} is {type(value).__name__}; give True or False, or a "
+            "Param, an Input or an expression of them, which is on above 0.5"
+        )
+    return bool(value)
+
+
+def _varying(value: Any) -> list[Leaf]:
+    return sorted(
+        (leaf for leaf in leaves_of(value) if not isinstance(leaf, Param)), key=lambda v: v.name
+    )
+
+
+def _check_switch(active: bool | Scalar, effects: Sequence[Effect], where: str) -> None:
+    """What holds remembers which way it slid, and would not know after a time without force."""
+    varying = _varying(active)
+    holding = [effect.label for effect in effects if effect.unknowns]
+    if varying and holding:
+        raise ValueError(
+            f"{where}, active: depends on '{varying[0].name}', which varies in time, but "
+            f"{holding[0]} holds exactly; give it smoothing, or switch by a Param"
+        )
 
 
 def _data(data: Any, where: str) -> np.ndarray:

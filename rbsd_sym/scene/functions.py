@@ -3,15 +3,32 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+import re
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ..base.names import check_identifier
-from ..base.symbols import TIME, Leaf, Param, Scalar, is_number, leaves_of, to_array, to_expr
+from ..base.symbols import (
+    TIME,
+    Array,
+    Leaf,
+    Param,
+    Scalar,
+    SymbolError,
+    arrays_of_symbols,
+    is_number,
+    leaves_of,
+    to_array,
+    to_expr,
+)
+from .elements import RigidBodySpringDamper
+from .mbs import Mbs, joint_rotation
 
 _FORCE = (
     "(mbs, t, item, displacement, rotation, velocity, angular_velocity, stiffness, damping, "
@@ -19,6 +36,20 @@ _FORCE = (
 )
 _WITH_DATA = _FORCE.replace("item, ", "item, data, ")
 _DIRECTIONS = (-1, 0, 1)
+_LIBRARIES = tuple(str(Path(file).parent) for file in (ca.__file__, np.__file__))
+_OURS = str(Path(__file__).parents[1])
+_OF_MATH = re.compile(r"\bmath\.(\w+)")
+_IN_NUMPY = {
+    "asin": "arcsin",
+    "acos": "arccos",
+    "atan": "arctan",
+    "atan2": "arctan2",
+    "asinh": "arcsinh",
+    "acosh": "arccosh",
+    "atanh": "arctanh",
+    "pow": "power",
+    "dist": "linalg.norm",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,37 +133,56 @@ class Traced:
 class _Call:
     """The symbols a user function is called with, and what its result is made of."""
 
-    def __init__(self, where: str, item: int, numbers: Sequence[np.ndarray], n_data: int) -> None:
-        self.where, self.item, self.numbers = where, item, numbers
+    def __init__(
+        self,
+        title: str,
+        item: int,
+        connectors: Sequence[RigidBodySpringDamper],
+        variables: Mapping[str, Any],
+    ) -> None:
+        own = connectors[item]
+        self.where, self.item, self.connector = f"connector '{own.name}', {title}", item, own
+        self.numbers = (own.stiffness, own.damping, own.offset)
+        self.n_data = len(own.data)
         self.strain, self.rate = ca.SX.sym("strain", 6), ca.SX.sym("rate", 6)
         self.frames = ca.SX.sym("A0", 3, 3), ca.SX.sym("A1", 3, 3)
-        self.data = ca.SX.sym("data", n_data)
-        self.n_data = n_data
+        self.data = ca.SX.sym("data", self.n_data)
+        frames = (to_array(self.frames[0]), to_array(self.frames[1]))
+        self.mbs = Mbs(self.where, item, connectors, frames, variables)
 
     def __call__(self, function: Callable[..., Any], with_data: bool) -> Any:
         strain, rate = self.strain, self.rate
         data = [list(to_array(self.data)) if self.n_data else []] if with_data else []
+        stiffness, damping, offset = (_copy(value) for value in self.numbers)
+        given = (
+            self.mbs,
+            TIME,
+            self.item,
+            *data,
+            to_array(strain[:3]),
+            to_array(strain[3:]),
+            to_array(rate[:3]),
+            to_array(rate[3:]),
+            stiffness,
+            damping,
+            joint_rotation(self.connector, 0),
+            joint_rotation(self.connector, 1),
+            offset,
+        )
         try:
-            return function(
-                None,
-                TIME,
-                self.item,
-                *data,
-                to_array(strain[:3]),
-                to_array(strain[3:]),
-                to_array(rate[:3]),
-                to_array(rate[3:]),
-                self.numbers[0].copy(),
-                self.numbers[1].copy(),
-                *(to_array(A) for A in self.frames),
-                self.numbers[2].copy(),
-            )
-        except (TypeError, AttributeError) as error:
+            with arrays_of_symbols():
+                return function(*given)
+        except SymbolError as error:
+            line = _line(error)
+            raise TypeError(f"{self.where}: {line}{error}{_instead(line)}") from error
+        except (TypeError, AttributeError, IndexError) as error:
+            if str(error).startswith(self.where):
+                raise
             signature = _WITH_DATA if with_data else _FORCE
             raise TypeError(
-                f"{self.where}: {error}; it is called as {signature}; symbols know +, -, *, /, **, "
-                "comparisons, numpy's functions of one argument and rbsd_sym.where; other "
-                "functions come from CasADi, such as casadi.atan2"
+                f"{self.where}: {_line(error)}{error}; it is called as {signature}, with arrays of "
+                "symbols; numpy's elementwise functions, @, slices, sums, norms, np.where and "
+                "np.interp work on them; other functions come from CasADi, such as casadi.erf"
             ) from error
 
     def traced(self, values: list[Any], events: tuple[TracedEvent, ...] = ()) -> Traced:
@@ -151,53 +201,78 @@ class _Call:
         return Traced(ca.Function("user", [*known, column], [expr]), leaves, events)
 
 
+def _copy(value: np.ndarray) -> np.ndarray:
+    return value.copy().view(Array) if value.dtype == object else value.copy()
+
+
+def _line(error: BaseException) -> str:
+    """Where in the user's code an error arose: "line 7, `f[2] = u[2]`: ", if that is known."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if not frame.filename.startswith((_OURS, *_LIBRARIES)) and frame.line:
+            return f"line {frame.lineno}, `{frame.line}`: "
+    return ""
+
+
+def _instead(line: str) -> str:
+    """What to write for a function of math in a line."""
+    names = [name for name in _OF_MATH.findall(line) if name not in ("pi", "floor", "ceil")]
+    return "".join(f"; here np.{_IN_NUMPY.get(name, name)} for math.{name}" for name in names)
+
+
 def trace_force(
-    force: Callable[..., Any], name: str, item: int, numbers: Sequence[np.ndarray], n_data: int
+    force: Callable[..., Any],
+    item: int,
+    connectors: Sequence[RigidBodySpringDamper],
+    variables: Mapping[str, Any],
 ) -> Traced:
-    """Call the user's function once: motions are symbols, numbers of the connector stay numbers.
+    """Call a connector's force once: motions are symbols, numbers of the connector stay numbers.
 
     One that takes 13 arguments gets the data states after `item`, as `post_newton_step` does.
 
-    Arguments:
-        numbers: stiffness, damping and offset.
-
     Raises:
-        TypeError: it branches on a symbol or returns something that is no number.
+        TypeError: it branches on a symbol or returns something that is not a number.
         ValueError: it does not return 6 numbers, or uses CasADi symbols that are no Param or Input.
     """
-    call = _Call(f"connector '{name}', force", item, numbers, n_data)
-    if not n_data and _takes(force, 13) and not _takes(force, 12):
+    call = _Call("force", item, connectors, variables)
+    if not call.n_data and _takes(force, 13) and not _takes(force, 12):
         raise TypeError(
             f"{call.where}: takes 13 arguments, data after item, but the connector has no data; "
             "give data=[...], or leave the argument out"
         )
-    result = call(force, n_data > 0 and _takes(force, 13))
+    result = call(force, call.n_data > 0 and _takes(force, 13))
     rule = "6 numbers: force x y z, torque x y z"
     return call.traced(_numbers(result, 6, rule, call.where))
 
 
 def trace_post_newton(
-    step: Callable[..., Any], name: str, item: int, numbers: Sequence[np.ndarray], n_data: int
+    step: Callable[..., Any],
+    item: int,
+    connectors: Sequence[RigidBodySpringDamper],
+    variables: Mapping[str, Any],
 ) -> Traced:
-    """The user's post_newton_step as a Function -> [error, recommended step, data].
+    """A connector's post_newton_step as a Function -> [error, recommended step, data].
 
     Raises:
         TypeError, ValueError: as `trace_force`.
     """
-    call = _Call(f"connector '{name}', post_newton_step", item, numbers, n_data)
+    call = _Call("post_newton_step", item, connectors, variables)
+    n_data = call.n_data
     rule = f"2 + {n_data} numbers: error, recommended step, and each entry of data"
     return call.traced(_numbers(call(step, True), 2 + n_data, rule, call.where))
 
 
 def trace_events(
-    events: Callable[..., Any], name: str, item: int, numbers: Sequence[np.ndarray], n_data: int
+    events: Callable[..., Any],
+    item: int,
+    connectors: Sequence[RigidBodySpringDamper],
+    variables: Mapping[str, Any],
 ) -> Traced:
-    """The user's events as a Function -> (zero, impulse, data) of each, one after the other.
+    """A connector's events as a Function -> (zero, impulse, data) of each, one after the other.
 
     Raises:
         TypeError, ValueError: as `trace_force`; a transition of wrong size.
     """
-    call = _Call(f"connector '{name}', events", item, numbers, n_data)
+    call = _Call("events", item, connectors, variables)
     result = call(events, True)
     found = [result] if isinstance(result, Event) else result
     if not isinstance(found, (list, tuple)) or not all(isinstance(e, Event) for e in found):

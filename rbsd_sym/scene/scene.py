@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -39,6 +39,8 @@ class Scene:
         gravity: world axes, m/s2.
         outputs: names of the outputs the model's `out` holds, such as "joint.force_local"; None
             asks for all of them in a small scene, for none in a large one.
+        variables: numbers, tables and Params by name, which user functions of connectors read as
+            `mbs.variables[name]`.
 
     Raises:
         ValueError: unknown body, duplicate names, no body at all.
@@ -50,6 +52,7 @@ class Scene:
     loads: Sequence[Load] = ()
     gravity: Any = _ZERO3
     outputs: Sequence[str] | None = None
+    variables: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
         check_identifier(self.name, "scene")
@@ -61,6 +64,12 @@ class Scene:
         values["gravity"] = checks.numbers(self.gravity, (3,), f"{where}, gravity", "m/s2")
         if self.outputs is not None:
             values["outputs"] = _sequence(where, "outputs", self.outputs)
+        if not isinstance(self.variables, Mapping):
+            raise TypeError(
+                f"{where}, variables: {type(self.variables).__name__}; give names and values, such "
+                "as {'gap': 0.01}"
+            )
+        values["variables"] = dict(self.variables)
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._check_elements()
@@ -124,7 +133,18 @@ class Scene:
     @cached_property
     def traced(self) -> tuple[Functions, ...]:
         """The user functions of each connector, traced once with symbols."""
-        return tuple(_functions(c, i) for i, c in enumerate(self.connectors))
+        return tuple(self._functions(i) for i in range(len(self.connectors)))
+
+    def _functions(self, item: int) -> Functions:
+        c = self.connectors[item]
+        if not c.acts:
+            return Functions()
+        rest = (item, self.connectors, self.variables)
+        return Functions(
+            trace_force(c.force, *rest) if c.force else None,
+            trace_events(c.events, *rest) if c.events else None,
+            trace_post_newton(c.post_newton_step, *rest) if c.post_newton_step else None,
+        )
 
     @cached_property
     def leaves(self) -> tuple[Leaf, ...]:
@@ -170,24 +190,13 @@ class Scene:
             for name, traced in functions._asdict().items()
             if traced
         ]
-        lines += [effect.text for c in self.connectors if c.active for effect in c.effects]
+        lines += [effect.text for c in self.connectors if not c.idle for effect in c.effects]
         return "\n".join(lines)
 
     @property
     def digest(self) -> str:
         """Hash of the scene's text."""
         return hashlib.sha256(self.text.encode()).hexdigest()[:16]
-
-
-def _functions(c: RigidBodySpringDamper, i: int) -> Functions:
-    if not c.acts:
-        return Functions()
-    rest = (c.name, i, (c.stiffness, c.damping, c.offset), len(c.data))
-    return Functions(
-        trace_force(c.force, *rest) if c.force else None,
-        trace_events(c.events, *rest) if c.events else None,
-        trace_post_newton(c.post_newton_step, *rest) if c.post_newton_step else None,
-    )
 
 
 def _sequence(where: str, title: str, value: Any) -> tuple[Any, ...]:

@@ -192,7 +192,7 @@ def test_show_false_hides_and_asleep_is_grey(driven: Run) -> None:
     drawn = track_of(driven)
     assert drawn.boxes.p.shape[1] == 1
     assert drawn.ends.p.shape[1] == 6  # drive, link, asleep
-    assert list(drawn.active) == [True, True, False]
+    assert (drawn.active == [True, True, False]).all()
     assert drawn.colours[2] == pytest.approx([int(ASLEEP[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     assert drawn.diameters[1] == 0.06
 
@@ -366,7 +366,7 @@ def test_a_missing_or_other_scene_is_told(two: Run, driven: Run) -> None:
         ({"size": (1, 0, 1)}, {}, r"body 'a', size: \(1, 0, 1\); it is three positive lengths"),
         ({"size": 2}, {}, "body 'a', size: 2; it is three positive lengths"),
         ({"color": "blau"}, {}, "body 'a', color: 'blau'; it is a colour of matplotlib"),
-        ({}, {"draw_size": -1}, "connector 'c', draw_size: -1; it is a positive length in m"),
+        ({}, {"draw_size": -2}, "connector 'c', draw_size: -2; it is a positive length in m"),
         ({}, {"draw_size": "big"}, "connector 'c', draw_size: 'big'; it is a positive"),
         ({}, {"color": (2, 0, 0)}, "connector 'c', color: .*colour of matplotlib"),
         ({"show": False}, {"show": False}, "show=False everywhere; .*set show=True"),

@@ -78,25 +78,41 @@ def test_motion_arguments_are_those_of_the_law(law: str) -> None:
         assert np.array_equal(local(model), expected)
 
 
-def test_joint_frames_are_joint_to_world() -> None:
-    """rotJ_i = R_body R_marker R_joint, indexed in one step or in two."""
+def test_rotations_are_those_of_the_joint() -> None:
+    """rotJ_i is rotation_marker_i, given as matrix or quaternion, indexed in one or two steps."""
+    half = rotations.exp_so3([0.2, 0.1, -0.4])
+    for given in (half, rotations.to_quaternion(half)):
+        turned = {"rotation_marker0": given, "rotation_marker1": TURN.T}
+        for name, R in (("rotJ0", half), ("rotJ1", TURN.T)):
+            for rows in ((0, 1), (1, 2)):
+                places = [(i, j) for i in rows for j in range(3)]
+                once = compiled(revealing(*entries(name, *places)), **turned)
+                twice = compiled(revealing(
+                    *(lambda g, name=name, i=i, j=j: g[name][i][j] for i, j in places)
+                ), **turned)  # fmt: skip
+                expected = [R[place] for place in places]
+                assert np.abs(local(once) - expected).max() < 4 * EPS
+                assert np.array_equal(local(twice), local(once))
+
+
+def test_joint_frames_to_world_come_from_mbs() -> None:
+    """mbs.frame_to_world(item, i) = R_body R_marker R_joint."""
     R0, R1 = (rotations.from_quaternion(STATE[i : i + 4]) for i in (3, 16))
-    for name, R in (("rotJ0", R0 @ TURN), ("rotJ1", R1 @ TURN.T)):
+    for marker, R in enumerate((R0 @ TURN, R1 @ TURN.T)):
         for rows in ((0, 1), (1, 2)):
             places = [(i, j) for i in rows for j in range(3)]
-            once = compiled(revealing(*entries(name, *places)))
-            twice = compiled(revealing(
-                *(lambda g, name=name, i=i, j=j: g[name][i][j] for i, j in places)
-            ))  # fmt: skip
-            expected = [R[place] for place in places]
-            assert np.abs(local(once) - expected).max() < 8 * EPS
-            assert np.array_equal(local(twice), local(once))
+            model = compiled(revealing(*(
+                lambda g, i=marker, place=place: g["mbs"].frame_to_world(g["item"], i)[place]
+                for place in places
+            )))  # fmt: skip
+            assert np.abs(local(model) - [R[place] for place in places]).max() < 8 * EPS
 
 
 def test_the_other_arguments() -> None:
     damping, offset = np.arange(36.0).reshape(6, 6), [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
     model = compiled(revealing(
-        lambda g: 1.0 if g["mbs"] is None else 0.0, lambda g: 3 * g["t"], lambda g: g["item"],
+        lambda g: g["mbs"].GetObjectParameter(0, "stiffness")[2, 2], lambda g: 3 * g["t"],
+        lambda g: g["item"],
         lambda g: g["stiffness"][1][1], lambda g: g["damping"][2, 5], lambda g: g["offset"][4],
     ), damping=damping, offset=offset)  # fmt: skip
     assert np.array_equal(local(model, t=0.5), [1.0, 1.5, 1.0, 5000.0, 17.0, 0.5])
@@ -135,12 +151,11 @@ def written_for_numbers(mbs, t, item, d, r, v, w, k, c, J0, J1, offset) -> list[
 
 def test_code_for_plain_numbers() -> None:
     """The same function called with floats is the reference."""
-    model = compiled(written_for_numbers)
+    model = compiled(written_for_numbers, rotation_marker0=TURN.T, rotation_marker1=TURN)
     outputs = ("displacement_local", "rotation", "velocity_local", "angular_velocity_local")
     motion = [np.array(model.function(f"joint.{n}")(0.7, STATE, [], [], []))[:, 0] for n in outputs]
-    J0 = rotations.from_quaternion(STATE[3:7]) @ TURN
     expected = np.array(written_for_numbers(
-        None, 0.7, 1, *motion, np.diag(K), np.zeros((6, 6)), J0, None, np.zeros(6)
+        None, 0.7, 1, *motion, np.diag(K), np.zeros((6, 6)), TURN.T, TURN, np.zeros(6)
     ))  # fmt: skip
     assert np.abs(local(model, t=0.7) - expected).max() < 64 * EPS * np.abs(expected).max()
 
