@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles import rotations
-from rbsd_sym.ocp.names import Names
 
 import rbsd_sym as rs
+from rbsd_sym.ocp.terms import Names
 from rbsd_sym.plots.shapes import drawing_of
 
 TURN0, TURN1 = rotations.exp_so3([0, 0, 0.35]), rotations.exp_so3([0.6, 0.2, -0.1])
