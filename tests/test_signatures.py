@@ -118,6 +118,13 @@ def test_a_scene_is_not_a_model(call: Callable, tmp_path: Path, monkeypatch: pyt
     assert not list(tmp_path.iterdir())
 
 
+def test_a_marker_takes_a_body_or_its_name() -> None:
+    body = rs.RigidBody("b", 1.0, (0.1, 0.1, 0.1))
+    assert rs.Marker(body, (1, 0, 0)).body == rs.Marker("b").body == "b"
+    with pytest.raises(TypeError, match=r"body 3; give a body, its name, or rbsd_sym\.GR"):
+        rs.Marker(3)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("given", "message"), [
     ({"integrator": "dop853"}, r"integrator 'dop853'; give an object, such as Idas\(\)"),
     ({"integrator": rs.Dop853}, r"integrator Dop853; give an object, such as Idas\(\)"),

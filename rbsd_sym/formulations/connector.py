@@ -21,7 +21,13 @@ from ..mechanics.quantities import (
 )
 from ..scene.elements import GROUND, RigidBodySpringDamper
 from .layout import Layout
-from .pack import axes_without_inertia, compliance_column, has_mass, marker_column
+from .pack import (
+    ConnectorConstants,
+    axes_without_inertia,
+    compliance_column,
+    has_mass,
+    marker_column,
+)
 from .reaction import Kind, Reaction
 
 
@@ -102,37 +108,41 @@ class ConnectorWriter:
         return tuple(self.connector.effects) if self.connector.acts else ()
 
     @cached_property
-    def constants(self) -> ca.SX:
-        """Markers, numbers, compliances, switch, symbols of user functions, numbers of effects."""
+    def _named(self) -> ConnectorConstants:
         connector, bodies = self.connector, [self.layout.scene.bodies[i] for i in self.carriers]
-        columns = []
-        for m, place, joint in zip(
+        markers = zip(
             (connector.marker0, connector.marker1),
             self.kind.places,
             (connector.rotation_marker0, connector.rotation_marker1),
             strict=True,
-        ):
-            columns.append(marker_column(m, None if place is None else bodies[place], joint))
+        )
         acting = 0.0 if connector.idle else 1.0
-        columns += [
+        return ConnectorConstants(
+            tuple(
+                marker_column(marker, None if place is None else bodies[place], joint)
+                for marker, place, joint in markers
+            ),
             ca.vec(acting * to_expr(connector.stiffness)),
             ca.vec(acting * to_expr(connector.damping)),
             to_expr(connector.offset),
             to_expr(connector.velocity_offset),
-        ]
-        columns += [compliance_column(body) for body in bodies]
-        columns += [to_expr(connector.active)] if connector.switched else []
-        columns += [traced.values for traced in self.kind.functions if traced]
-        columns += [effect.column for effect in self._effects]
-        return ca.vertcat(*columns)
+            tuple(compliance_column(body) for body in bodies),
+            to_expr(connector.active) if connector.switched else ca.SX(0, 1),
+            tuple(traced.values if traced else ca.SX(0, 1) for traced in self.kind.functions),
+            tuple(effect.column for effect in self._effects),
+        )
+
+    @cached_property
+    def constants(self) -> ca.SX:
+        """Column of its constants."""
+        return self._named.column
 
     @property
     def reaction(self) -> Reaction:
         """The kernels of its kind."""
         key = ("reaction", self.kind)
         if key not in self.cache:
-            n = self.constants.numel()
-            self.cache[key] = Reaction(self.kind, self.layout, self._effects, n)
+            self.cache[key] = Reaction(self.kind, self.layout, self._effects, self._named)
         return self.cache[key]
 
     @property

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
 
@@ -108,3 +112,45 @@ def body_column(body: RigidBody) -> ca.SX:
     return ca.vertcat(
         to_expr(body.mass), ca.vec(to_expr(body.inertia)), to_expr(body.com), to_expr(body.position)
     )
+
+
+class ConnectorConstants(NamedTuple):
+    """Constants of a connector by name; their column holds them in this order.
+
+    Fields:
+        markers: columns of both markers with their joint frames (`marker_column`).
+        stiffness, damping: (36, 1), column by column; offset, velocity_offset: (6, 1).
+        compliances: of the moving bodies it touches (`compliance_column`).
+        active: (1, 1) if a number switches the connector, else (0, 1).
+        functions: values of the Params and Inputs in each user function, as in `Functions`.
+        effects: numbers of each effect.
+    """
+
+    markers: tuple[ca.SX, ...]
+    stiffness: ca.SX
+    damping: ca.SX
+    offset: ca.SX
+    velocity_offset: ca.SX
+    compliances: tuple[ca.SX, ...]
+    active: ca.SX
+    functions: tuple[ca.SX, ...]
+    effects: tuple[ca.SX, ...]
+
+    def _parts(self) -> Iterator[ca.SX]:
+        for field in self:
+            yield from field if isinstance(field, tuple) else (field,)
+
+    @property
+    def column(self) -> ca.SX:
+        """All of them as one column."""
+        return ca.vertcat(*self._parts())
+
+    def over(self, column: ca.SX) -> ConnectorConstants:
+        """The same names over the entries of another column of the same length."""
+        ends = np.cumsum([0, *(part.numel() for part in self._parts())]).tolist()
+        pieces = iter([column[a:b] for a, b in pairwise(ends)])
+        fields = (
+            tuple(next(pieces) for _ in field) if isinstance(field, tuple) else next(pieces)
+            for field in self
+        )
+        return ConnectorConstants(*fields)

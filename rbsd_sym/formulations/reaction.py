@@ -29,9 +29,7 @@ from ..mechanics.motion import (
 from ..mechanics.quantities import ConnectorView, Quantity
 from ..scene.scene import Functions
 from .layout import Layout, accelerations, kernel
-from .pack import COMPLIANCE, MARKER, marker_of
-
-_NUMBERS = 84  # K (36), D (36), offset (6), velocity_offset (6)
+from .pack import ConnectorConstants, marker_of
 
 
 @dataclass(frozen=True)
@@ -73,13 +71,13 @@ class Reaction:
 
     Arguments:
         effects: of one of them, for their structure.
-        n_constants: entries of the column of constants (see `ConnectorWriter.constants`).
+        example: constants of one of them, for their sizes.
     """
 
     kind: Kind
     layout: Layout
     effects: tuple[Effect, ...]
-    n_constants: int
+    example: ConnectorConstants
 
     @cached_property
     def x(self) -> ca.SX:
@@ -104,8 +102,13 @@ class Reaction:
 
     @cached_property
     def c(self) -> ca.SX:
-        """Its constants."""
-        return ca.SX.sym("c", self.n_constants)
+        """Column of its constants."""
+        return ca.SX.sym("c", self.example.column.numel())
+
+    @cached_property
+    def constants(self) -> ConnectorConstants:
+        """Its constants by name."""
+        return self.example.over(self.c)
 
     @property
     def own(self) -> ca.SX:
@@ -117,45 +120,26 @@ class Reaction:
         """Its bodies."""
         return [self.layout.body(part) for part in self.layout.split(self.x[: self.n_body_rows])]
 
-    @property
-    def _n_head(self) -> int:
-        return 2 * MARKER + _NUMBERS + COMPLIANCE * self.kind.n_bodies
-
     @cached_property
     def _on(self) -> ca.SX | None:
         """Condition under which the connector acts; None if it never changes."""
         if self.kind.active is not None:
             return None
-        return (self.own[-1] if self.kind.switches else self.c[self._n_head]) > 0.5
-
-    @cached_property
-    def _tail(self) -> ca.SX:
-        """Constants after markers, numbers, compliances and the switch."""
-        return self.c[self._n_head + (self.kind.active is None) :]
+        return (self.own[-1] if self.kind.switches else self.constants.active) > 0.5
 
     def _leaves(self, name: str) -> ca.SX:
         """Values of the symbols that a user function uses."""
-        first = 0
-        for key, traced in self.kind.functions._asdict().items():
-            n = len(traced.leaves) if traced else 0
-            if key == name:
-                return self._tail[first : first + n]
-            first += n
-        raise KeyError(name)
+        return self.constants.functions[Functions._fields.index(name)]
 
     def _bound(self) -> tuple[Effect, ...]:
         """The effects with symbols for their numbers."""
-        bound, end = [], self._tail.numel()
-        for effect in reversed(self.effects):
-            n = effect.column.numel()
-            bound.append(effect.bound(self._tail[end - n : end]))
-            end -= n
-        return tuple(reversed(bound))
+        pairs = zip(self.effects, self.constants.effects, strict=True)
+        return tuple(effect.bound(numbers) for effect, numbers in pairs)
 
     def see(self, bodies: list[Body]) -> _Sight:
         """The connector with its bodies in any axes."""
-        kind, k, c = self.kind, 2 * MARKER, self.c
-        markers = [marker_of(c[:MARKER]), marker_of(c[MARKER:k])]
+        kind, c = self.kind, self.constants
+        markers = [marker_of(column) for column in c.markers]
         motions = [
             ground_motion(marker) if place is None else marker_motion(bodies[place], marker)
             for marker, place in zip(markers, kind.places, strict=True)
@@ -164,10 +148,10 @@ class Reaction:
         if force is not None:
             user = lambda *given: force.function(*given, self._leaves("force"))  # noqa: E731
         numbers = SpringDamper(
-            ca.reshape(c[k : k + 36], 6, 6),
-            ca.reshape(c[k + 36 : k + 72], 6, 6),
-            c[k + 72 : k + 78],
-            c[k + 78 : k + 84],
+            ca.reshape(c.stiffness, 6, 6),
+            ca.reshape(c.damping, 6, 6),
+            c.offset,
+            c.velocity_offset,
             user,
             self._bound(),
             self.own,
@@ -189,20 +173,20 @@ class Reaction:
         Arguments:
             R_WE: from the axes of the wrenches to the world's.
         """
-        first, rates = 2 * MARKER + _NUMBERS, [ca.SX.zeros(6)] * len(sight.bodies)
+        rates = [ca.SX.zeros(6)] * len(sight.bodies)
         f0_W = R_WE @ wrenches[0].f
         opposite = ca.is_equal(wrenches[1].f, -wrenches[0].f, 2)
         forces = (f0_W, -f0_W if opposite else R_WE @ wrenches[1].f)
         for i, place in enumerate(self.kind.places):
             if place is not None:
-                compliance = self.c[first + COMPLIANCE * place : first + COMPLIANCE * (place + 1)]
                 torque = torque_on_body(sight.bodies[place], sight.markers[i].p_BA, wrenches[i])
+                compliance = self.constants.compliances[place]
                 rates[place] += accelerations(forces[i], torque, compliance)
         return ca.vertcat(*rates)
 
     def _impulse(self, force: ca.SX, relative: Relative) -> ca.SX:
         """Change of the bodies' velocities by an impulse (6, 1) in the axes of the force."""
-        markers = [marker_of(self.c[:MARKER]), marker_of(self.c[MARKER : 2 * MARKER])]
+        markers = [marker_of(column) for column in self.constants.markers]
         sight = _Sight(None, None, markers, [], self.bodies)  # type: ignore[arg-type]
         return self.accelerate(sight, relative.transmit(force), ca.SX.eye(3))
 
@@ -309,7 +293,7 @@ class Reaction:
         It is one event, which must cross back before it can fire again: of two, for on and for off,
         each would see what the other has just left a rounding beyond zero.
         """
-        on, active = self._on, self.c[self._n_head]
+        on, active = self._on, self.constants.active
         zero = ca.if_else(on, active - np.nextafter(0.5, 1), 0.5 - active)  # 0.5 itself is off
         change = ca.SX.zeros(6 * self.kind.n_bodies + self.n_own)
         change[-1] = ca.if_else(on, 0, 1) - self.own[-1]
@@ -338,7 +322,7 @@ class Reaction:
         response, motions = sight.response, sight.motions
         split = self.layout.split(x[: self.n_body_rows])
         rates = [*(self.layout.kinematic_rates(part) for part in split), self._own_rates(response)]
-        c_rate = ca.SX.sym("c_rate", self.n_constants)
+        c_rate = ca.SX.sym("c_rate", self.c.numel())
         energy = response.potential_energy
         stored_rate = ca.jtimes(energy, self.c, c_rate)
         if x.numel():

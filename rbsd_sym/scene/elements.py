@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -111,7 +111,7 @@ class Marker:
     """A frame carried by a body, or fixed to the ground.
 
     Arguments:
-        body: name of a body, or GROUND.
+        body: a body, its name, or GROUND.
         position: from the body frame's origin, body axes, m.
         rotation: marker to body, 3x3 or unit quaternion.
 
@@ -123,10 +123,18 @@ class Marker:
     position: Numbers = _ZERO3
     rotation: Numbers = _EYE3
 
+    if TYPE_CHECKING:  # a body is accepted, its name is kept
+
+        def __init__(
+            self, body: str | RigidBody, position: Numbers = ..., rotation: Numbers = ...
+        ) -> None: ...
+
     def __post_init__(self) -> None:
+        if isinstance(self.body, RigidBody):
+            _set(self, body=self.body.name)
         if not isinstance(self.body, str):
             raise TypeError(
-                f"marker: body {self.body!r}; give the name of a body, or rbsd_sym.GROUND"
+                f"marker: body {self.body!r}; give a body, its name, or rbsd_sym.GROUND"
             )
         where = f"marker on '{self.body}'"
         _set(
