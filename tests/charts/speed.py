@@ -279,7 +279,9 @@ def recommended(case: Case, seconds: float = 10.0) -> tuple[str, str]:
     names = []
     for exported in (False, True):
         try:
-            pick = rs.study.recommend(model, TARGET, case.t_end, exported, seconds)
+            pick = rs.study.recommend(
+                model, TARGET, case.t_end, exported=exported, seconds=seconds
+            )
             names.append(pages.name_of(pick.integrator))
         except ValueError:
             names.append("")

@@ -322,7 +322,8 @@ def test_inputs_count_at_the_end_of_a_step(rho: float) -> None:
         lambda t, q, v, rate: (np.array([[50.0]]), np.array([[3.0]]), np.array([[2.0]])),
         [0.0], [0.7], h, 100, rho,
     )  # fmt: skip
-    found = rs.simulate(model_of("driven"), oracle.t, GeneralizedAlpha(h, rho), {"f": pull})
+    method = GeneralizedAlpha(h, rho)
+    found = rs.simulate(model_of("driven"), oracle.t, method, inputs={"f": pull})
     np.testing.assert_allclose(found["b.p_x"], oracle.q[:, 0], rtol=0, atol=1e-13)
     np.testing.assert_allclose(found["b.v_x"], oracle.v[:, 0], rtol=0, atol=1e-13)
 

@@ -92,7 +92,7 @@ def test_balance_that_is_lost_on_the_way_stops_the_run_there() -> None:
     model = rs.compile_scene(saturated(rs.Input("pull", "N")))
     ramp, t = {"pull": lambda t: 40 * t}, np.linspace(0, 0.2, 101)
     for integrator in (rs.Idas(), rs.Rosenbrock()):
-        found = rs.simulate(model, t, integrator, ramp, throw=False)
+        found = rs.simulate(model, t, integrator, inputs=ramp, throw=False)
         assert not found.outcome.ok
         assert 0.12 <= found.t[-1] <= 0.125
     assert largest(5 * np.tanh(20 * found["a.p_x"]) - 40 * found.t) < 1e-6

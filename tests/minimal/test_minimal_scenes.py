@@ -197,7 +197,8 @@ def both(case: Case, integrator: Any) -> tuple[rs.Model, rs.Trajectory, rs.Traje
     times = np.linspace(0, case.t_end, 41)
     models = [rs.compile_scene(case.build(), case.formulation, m) for m in (True, False)]
     small, full = (
-        rs.simulate(model, times, integrator, case.inputs, case.params) for model in models
+        rs.simulate(model, times, integrator, inputs=case.inputs, params=case.params)
+        for model in models
     )
     assert small.outcome is rs.Outcome.reached_end  # and not unstable in what was left out
     return models[1], small, full

@@ -53,7 +53,7 @@ def reached(pick: rs.study.Recommendation, rtol: float) -> bool:
 @pytest.mark.parametrize("exported", [False, True])
 def test_what_is_recommended_reaches_the_error(exported: bool) -> None:
     """Against the final state in extended precision; its error has another metric: 3 has room."""
-    pick = rs.study.recommend(single(), 1e-6, 2.0, exported, seconds=1.5)
+    pick = rs.study.recommend(single(), 1e-6, 2.0, exported=exported, seconds=1.5)
     assert reached(pick, 1e-6)
     trajectory = rs.simulate(single(), 2.0, pick.integrator)
     assert reference.error("single", trajectory) < 3e-6
