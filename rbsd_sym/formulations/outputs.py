@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from ..base.names import near
+from ..base.names import joined, near
 from ..base.symbols import to_expr
 from ..dae.members import Output, Outputs
 from ..mechanics.quantities import (
@@ -74,7 +74,8 @@ class OutputWriter:
         for q in SCENE_QUANTITIES:
             add("", q, (*bodies, *own), lambda q=q: self._of_scene(q), unknown)
         owners = [writer.connector.name for writer in self.connectors]
-        also = {f"{owner}.{a}": f"{owner}.{b}" for owner in owners for a, b in DOCUMENTED.items()}
+        pairs = [(owner, *pair) for owner in owners for pair in DOCUMENTED.items()]
+        also = {joined(owner, given): joined(owner, ours) for owner, given, ours in pairs}
         return Outputs(outputs, also)
 
     def requested(self, outputs: Outputs) -> tuple[str, ...]:

@@ -103,9 +103,6 @@ def make_experiment(
 ) -> Experiment:
     """Turn times, and values by name, into the checked vectors of an `Experiment`.
 
-    Data states are as events leave them that look at inputs, parameters and time alone: a connector
-    that an Input switches is on or off as the Input is.
-
     Arguments:
         times: the end in s (from 0, in 200 intervals), or increasing output times.
         inputs, params, start: as in `simulate`.
@@ -152,6 +149,9 @@ def locate(
     t: float | None = None,
 ) -> Point:
     """Build a `Point` from vectors, or from names and values.
+
+    Data states are as events leave them that look at inputs, parameters and time alone: a connector
+    that an Input switches is on or off as the Input is.
 
     Arguments:
         at: a `Point` or what holds one, with its time, inputs and parameters; a `Trajectory`, of

@@ -13,7 +13,7 @@ import numpy as np
 from ..base import checks
 from ..base.names import joined, near
 from ..base.rotation import matrix_quat, quat_conjugate, quat_product
-from ..base.symbols import TIME, Scalar, is_number, to_expr
+from ..base.symbols import TIME, Array, Scalar, is_number, to_expr
 from ..dae.members import Label, Rotation, RotationKind, pick
 from ..model.model import Model
 from .problem import Bound, Expression, Free, Phase, Problem
@@ -87,7 +87,7 @@ class Names:
         found = self.find(name)
         cells = np.empty(found.column.numel(), dtype=object)
         cells[:] = [Scalar(cell) for cell in ca.vertsplit(found.column)]
-        return cells[0] if found.shape == () else cells.reshape(found.shape)
+        return cells[0] if found.shape == () else cells.reshape(found.shape).view(Array)
 
     def find(self, name: str) -> Named:
         """Look up a quantity.

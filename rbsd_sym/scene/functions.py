@@ -36,8 +36,7 @@ _FORCE = (
 )
 _WITH_DATA = _FORCE.replace("item, ", "item, data, ")
 _DIRECTIONS = (-1, 0, 1)
-_LIBRARIES = tuple(str(Path(file).parent) for file in (ca.__file__, np.__file__))
-_OURS = str(Path(__file__).parents[1])
+_LIBRARIES = (Path(__file__).parents[1], Path(ca.__file__).parent, Path(np.__file__).parent)
 _OF_MATH = re.compile(r"\bmath\.(\w+)")
 _IN_NUMPY = {
     "asin": "arcsin",
@@ -176,8 +175,6 @@ class _Call:
             line = _line(error)
             raise TypeError(f"{self.where}: {line}{error}{_instead(line)}") from error
         except (TypeError, AttributeError, IndexError) as error:
-            if str(error).startswith(self.where):
-                raise
             signature = _WITH_DATA if with_data else _FORCE
             raise TypeError(
                 f"{self.where}: {_line(error)}{error}; it is called as {signature}, with arrays of "
@@ -208,7 +205,7 @@ def _copy(value: np.ndarray) -> np.ndarray:
 def _line(error: BaseException) -> str:
     """Where in the user's code an error arose: "line 7, `f[2] = u[2]`: ", if that is known."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if not frame.filename.startswith((_OURS, *_LIBRARIES)) and frame.line:
+        if frame.line and not any(Path(frame.filename).is_relative_to(p) for p in _LIBRARIES):
             return f"line {frame.lineno}, `{frame.line}`: "
     return ""
 

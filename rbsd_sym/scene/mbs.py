@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..base.rotation import quat_matrix
-from ..base.symbols import Array, Scalar, leaves_of, to_array, to_expr
+from ..base.symbols import Array, Scalar, SymbolError, leaves_of, to_array, to_expr
 from ..laws import Intrinsic
 from .elements import RigidBodySpringDamper
 
@@ -104,19 +104,19 @@ class Mbs:
         return int(number)
 
     def __getattr__(self, name: str) -> NoReturn:
-        if name.startswith("__"):  # Python and numpy ask for these, not the user
+        if name[:2] == "__":  # Python and numpy ask for these, not the user
             raise AttributeError(name)
-        raise TypeError(
-            f"{self._where}: mbs.{name} is not available, since the function is called once, with "
-            "symbols; mbs has GetObjectParameter, frame_to_world and variables; what a run "
-            "computes comes by displacement, rotation, velocity and angularVelocity; what it "
-            "changes is a Param, an Input or data of the connector"
+        raise SymbolError(
+            f"mbs.{name} is not available, since the function is called once, with symbols; mbs "
+            "has GetObjectParameter, frame_to_world and variables; what a run computes comes by "
+            "displacement, rotation, velocity and angularVelocity; what it changes is a Param, an "
+            "Input or data of the connector"
         )
 
     def __setattr__(self, name: str, value: Any) -> NoReturn:
-        raise TypeError(
-            f"{self._where}: mbs.{name} = ...; mbs cannot be written; keep what a run changes in "
-            "data of the connector, and give numbers as Scene(variables={...})"
+        raise SymbolError(
+            f"mbs.{name} = ...; mbs cannot be written; keep what a run changes in data of the "
+            "connector, and give numbers as Scene(variables={...})"
         )
 
 
@@ -150,9 +150,9 @@ class Variables(Mapping[str, Any]):
         return len(self._values)
 
     def __setitem__(self, name: str, value: Any) -> NoReturn:
-        raise TypeError(
-            f"{self._where}: mbs.variables[{name!r}] = ...; variables cannot be written, since the "
-            "function is called once; keep what a run changes in data of the connector"
+        raise SymbolError(
+            f"mbs.variables[{name!r}] = ...; variables cannot be written, since the function is "
+            "called once; keep what a run changes in data of the connector"
         )
 
 
@@ -186,9 +186,9 @@ def _marked_copy(value: np.ndarray) -> np.ndarray:
 
 
 def _copy(connector: RigidBodySpringDamper, name: str) -> Any:
+    if name in _ROTATIONS:
+        return joint_rotation(connector, _ROTATIONS[name])
     value = getattr(connector, name)
-    if name in ("rotation_marker0", "rotation_marker1"):
-        return joint_rotation(connector, int(name[-1]))
     return _marked_copy(value) if isinstance(value, np.ndarray) else value
 
 
@@ -205,6 +205,7 @@ def _intrinsic(connector: RigidBodySpringDamper, item: int) -> bool:
     return isinstance(connector.law, Intrinsic)
 
 
+_ROTATIONS = {"rotation_marker0": 0, "rotation_marker1": 1}
 _DOCUMENTED: dict[str, Callable[[RigidBodySpringDamper, int], Any]] = {
     "name": _of("name"),
     "markerNumbers": lambda connector, item: [2 * item, 2 * item + 1],
@@ -213,8 +214,8 @@ _DOCUMENTED: dict[str, Callable[[RigidBodySpringDamper, int], Any]] = {
     "damping": _of("damping"),
     "offset": _of("offset"),
     "velocityOffset": _of("velocity_offset"),
-    "rotationMarker0": lambda connector, item: joint_rotation(connector, 0),
-    "rotationMarker1": lambda connector, item: joint_rotation(connector, 1),
+    "rotationMarker0": _of("rotation_marker0"),
+    "rotationMarker1": _of("rotation_marker1"),
     "activeConnector": _active,
     "intrinsicFormulation": _intrinsic,
     "useIntrinsicFormulation": _intrinsic,
