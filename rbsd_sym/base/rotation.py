@@ -199,8 +199,9 @@ def se3_log(p: Any, q: Any) -> tuple[Any, Any]:
 
         v = p - th x p / 2 + B th x (th x p),  B = (1 - (a/2) cot(a/2)) / a^2,  a = |th|
 
-    [Sola, Deray, Atchuthan 2018, eq. 174 and 176]. With t = tan(a/4), A = atan(t)/t and C = (1 -
-    A)/t^2 this is B = (A + C) / (16 A^2), which is regular from 0 to pi. th jumps at a = pi.
+    [Sola, Deray, Atchuthan 2018, eq. 174 and 176]. With t = tan(a/4), A = atan(t)/t and
+    C = (1 - A)/t^2 this is B = (A + C) / (16 A^2), which is regular from 0 to pi. th jumps at
+    a = pi.
 
     Arguments:
         p: position (3, 1) of the second frame in the first, m.
