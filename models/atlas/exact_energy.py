@@ -40,6 +40,7 @@ def exact_orders(pose: Pose) -> tuple[float, ...]:
     with localcontext() as context:
         context.prec = _DIGITS
         u = {k: _energy(pose, k * _STEP) for k in (-2, -1, 0, 1, 2)}
+        # Central differences; the first one of order 4, so that all keep enough digits.
         first = (8 * (u[1] - u[-1]) - (u[2] - u[-2])) / (12 * _STEP)
         second = (u[1] - 2 * u[0] + u[-1]) / _STEP**2
         third = (u[2] - 2 * u[1] + 2 * u[-1] - u[-2]) / (2 * _STEP**3)

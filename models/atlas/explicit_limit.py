@@ -120,6 +120,7 @@ def limit(coefficients: Sequence[float], ratio: float) -> float:
 
 def _bisect(grows: Any, low: float, high: float, width: float) -> float:
     while high / low > 1 + width:
+        # Geometric mean: the width of the bracket is relative.
         middle = math.sqrt(low * high)
         low, high = (low, middle) if grows(middle) else (middle, high)
     return math.sqrt(low * high)
@@ -131,6 +132,7 @@ def _measured(method: str, k: float, ratio: float) -> float:
 
     def grows(h_w: float) -> bool:
         h = h_w / w
+        # Starting transients are over after the first measurement.
         times = h * np.array([0, _STEPS, 2 * _STEPS])
         run = swing(_fixed(method, h), times, k, 2 * ratio * w)
         size = amplitude(run, k)

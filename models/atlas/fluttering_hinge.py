@@ -97,6 +97,7 @@ def closed_form(degrees: np.ndarray) -> np.ndarray:
     (ky, kz), (Iy, Iz) = STIFFNESS[4:], INERTIA[1:]
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     A = np.array([[ky * c / Iy, kz * s / Iy], [-ky * s / Iz, kz * c / Iz]]).transpose(2, 0, 1)
+    # Growth is the real part of the root of s^2, an eigenvalue of -A.
     squared = -np.linalg.eigvals(A).astype(complex)
     return np.abs(np.sqrt(squared).real).max(axis=1)
 

@@ -44,6 +44,7 @@ MASS, LENGTH, INERTIA, GRAVITY, SUPPORT = 1.0, 0.5, 0.08, 9.81, 1e6
 _SUPPORT_DAMPING = 1e3
 # Stiffness at which the bar buckles, N m/rad.
 CRITICAL = MASS * GRAVITY * LENGTH
+# Height of the centre, with the support compressed by the weight.
 _AT_REST = LENGTH - MASS * GRAVITY / SUPPORT
 # A small rotation about the hinge, rad/s and m/s.
 _PUSH = {"bar.w_y": 1e-6, "bar.v_x": 1e-6 * LENGTH}

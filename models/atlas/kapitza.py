@@ -61,6 +61,7 @@ def theory(frequency: float) -> tuple[float, float]:
     # Harmonics n w for the period of the drive, (n + 1/2) w for twice the period.
     for shift in (0.0, 0.5):
         n = np.arange(-_HARMONICS, _HARMONICS + (shift == 0)) + shift
+        # sin(w t) couples neighbouring harmonics with 1 / 2i.
         D = np.diag(-INERTIA * (n * w) ** 2 + 1j * n * w * DAMPING - GRAVITY * LENGTH)
         B = LENGTH * w * w / 2j * (np.eye(len(n), k=-1) - np.eye(len(n), k=1))
         # 1 / a is an eigenvalue of -D^-1 B, also where B is singular; the largest real one belongs
@@ -141,6 +142,7 @@ def _simulated(small: Model) -> tuple[Table, Table]:
         params = {"frequency": frequency, "amplitude": amplitude}
         motion = floquet(small, 1 / frequency, params=params)
         rest = linearize(small, static_equilibrium(small, params=params).point)
+        # The run starts on the periodic motion of the upright body, tilted a little.
         z, v = motion.start["body.p_z"], motion.start["body.v_z"]
         start = {
             "body.q_w": math.cos(_TILT / 2),

@@ -67,6 +67,8 @@ def growth_rate(t: np.ndarray, y: np.ndarray, order: int = 2) -> float:
     t, y = t[::stride], y[::stride]
     past = np.column_stack([y[order - 1 - k : len(y) - 1 - k] for k in range(order)])
     size = np.linalg.norm(past, axis=1)
+    # y_n = a_1 y_(n-1) + ... with characteristic roots exp(s dt); scaling keeps early, small
+    # samples.
     factors, *_ = np.linalg.lstsq(past / size[:, None], y[order:] / size, rcond=None)
     largest = np.abs(np.roots([1.0, *-factors])).max()
     return float(np.log(largest) / (t[1] - t[0]))

@@ -96,6 +96,7 @@ def whirl() -> Model:
 
 def radius(k: float) -> float:
     """Return the radius (m) at which the force k (r - 1 m) of the joint is the centripetal one."""
+    # k (r - 1) = w^2 r for 1 kg.
     return 1 + SPIN**2 / (k - SPIN**2)
 
 

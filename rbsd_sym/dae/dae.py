@@ -147,6 +147,8 @@ class Dae:
             # The derivative along ode contains the unknown force itself, which makes the row
             # solvable.
             alg[hold.alg_row] += self._held(hold, ca.vertcat(ca.SX(0, 1), *ode))
+        # Connectors on one body repeat its kinematics; one pass over all rows removes the
+        # repetitions.
         rows = ca.cse(ca.vertcat(ca.SX(0, 1), *ode, *alg))
         n = len(ode)
         return pick(rows, range(n)), pick(rows, range(n, rows.numel()))
@@ -187,6 +189,7 @@ class Dae:
         found, expansion = [], self.expansion
         for event in self.events:
             zero, changes = self._called(event)
+            # Sparse: an event changes few states, and states that never move have no row.
             column = ca.SX(self.x.numel(), 1)
             for row, change in zip(event.rows, ca.vertsplit(changes), strict=True):
                 place = expansion.rows[row] if expansion else row
@@ -206,6 +209,7 @@ class Dae:
         for update in self.updates:
             own_error, own_step, data = self._called(update)
             error = ca.fmax(error, own_error)
+            # A negative step means that nothing is recommended; otherwise the smallest counts.
             both = ca.if_else(step < 0, own_step, ca.fmin(step, own_step))
             step = ca.if_else(own_step < 0, step, both)
             for i, row in enumerate(update.rows):
@@ -248,6 +252,7 @@ class Dae:
     @property
     def _rates_of_z(self) -> ca.SX:
         """Return z' = -(d alg/dz)^-1 (d alg/dx ode + d alg/dt), flat."""
+        # 0 = d alg/dt = (d alg/dz) z' + push.
         push = ca.jacobian(self.alg, self.x) @ self.ode + ca.jacobian(self.alg, self.t)
         return -ca.solve(ca.jacobian(self.alg, self.z), push)
 

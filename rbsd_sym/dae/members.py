@@ -89,6 +89,8 @@ class Part(Instance):
     @cached_property
     def signature(self) -> tuple[bytes, tuple[str, ...]]:
         """A hashable value; parts have equal constants exactly if it is equal."""
+        # NaNs have equal bytes, so that the numbers compare as bytes; symbolic entries compare by
+        # their text.
         symbolic = np.flatnonzero(np.isnan(self.numbers))
         return self.numbers.tobytes(), tuple(str(self.constants[int(i)]) for i in symbolic)
 
@@ -260,6 +262,7 @@ class Balance:
 
     def basis(self, coordinates: ca.SX) -> ca.SX:
         """Return the rates of the coordinates for unit velocities, one column per velocity."""
+        # The kinematics is linear in the velocities: its matrix has one column per unit velocity.
         units = ca.horzsplit(ca.SX.eye(len(self.velocities)))
         return ca.horzcat(*(self.kinematics(coordinates, unit) for unit in units))
 

@@ -88,6 +88,8 @@ class ConnectorWriter:
     @cached_property
     def kind(self) -> Kind:
         """What it must have in common with another connector to share kernels."""
+        # Bodies are numbered within the connector, so that connectors between different bodies can
+        # be of one kind.
         places = tuple(
             None if m.body == GROUND else self.carriers.index(self.layout.index(m.body))
             for m in (self.connector.marker0, self.connector.marker1)

@@ -51,6 +51,7 @@ def smallest(scene: Scene, formulation: Any) -> tuple[Dae, Reduction]:
             with warnings.catch_warnings():
                 # The first `write` has issued the warnings of this scene already.
                 warnings.simplefilter("ignore", ModelWarning)
+                # Expensive, and therefore only for scenes in which some body turns freely.
                 other = formulation.write(plane.scene)
             flat = core(other)
             if _size(flat) < _size(best[1]):
@@ -71,6 +72,8 @@ def _turns_freely(scene: Scene, formulation: Any, small: Dae) -> bool:
     moving = ca.vertcat(small.x, small.z)
     states = ca.vertsplit(expansion.states)
     for i in range(len(scene.bodies)):
+        # The rotation coordinates; where the planar pass has found an angle, at most one of them is
+        # still a state of its own.
         rows = layout.rows(i)[3:-6]
         live = [row for row in rows if states[row].is_symbolic()]
         if len(live) > 1 and ca.depends_on(expansion.states[live], moving):

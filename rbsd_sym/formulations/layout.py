@@ -170,6 +170,8 @@ class Layout:
             ]
         axes = axes_without_inertia(body)
         if axes:
+            # The coordinates of a rotation belong to all three velocities, whichever of them have
+            # inertia.
             idle = tuple(w[i] for i in axes)
             name = f"{body.name}.rotation"
             balances.append(Balance(name, rows[3:-6], w, idle, self._turning))
@@ -193,6 +195,7 @@ class Layout:
         """
         R_WB, q_WB = rotation_pair(body.rotation)
         w_B, com = to_expr(body.angular_velocity), to_expr(body.com)
+        # The scene describes the origin of the body frame: v_com = v_origin + R (w x com).
         position = to_expr(body.position) + R_WB @ com
         velocity = to_expr(body.velocity) + R_WB @ ca.cross(w_B, com)
         return ca.vertcat(position, self.coordinates.start(R_WB, q_WB), velocity, w_B)
@@ -233,5 +236,7 @@ def kernel(name: str, x: ca.SX, c: ca.SX, *results: ca.SX, z: ca.SX | None = Non
         x, c, z: columns of symbols; z defaults to an empty one.
         results: expressions over t, x, z and c.
     """
+    # Kernels are mapped over instances and their results scattered by row, so a result must have an
+    # entry for every row.
     dense = [ca.densify(result) for result in results]
     return ca.Function(name, [TIME.expr, x, ca.SX.sym("z", 0) if z is None else z, c], dense)

@@ -91,6 +91,7 @@ def _states(layout: Layout, acting: list[ConnectorWriter]) -> tuple[tuple[Label,
     labels = [label for body in scene.bodies for label in layout.labels(body)]
     own = [label for writer in acting for label in writer.labels]
     bodies = ca.vertcat(*(layout.start(body) for body in scene.bodies))
+    # Labels show numbers at the default values of Params; the start itself keeps the symbols.
     values = default_values(bodies, scene.params).reshape(-1)
     found = [replace(label, start=float(v)) for label, v in zip(labels, values, strict=True)]
     return (*found, *own), ca.vertcat(bodies, *(label.start for label in own))
@@ -107,6 +108,7 @@ def _bodies(layout: Layout) -> list[Part]:
     spin = -inverse @ gyroscopic(inertia, x[-3:])
     rates = ca.vertcat(layout.kinematic_rates(x)[:-6], c[INERTIA:], spin)
     function = kernel("body", x, c, rates, ca.SX(0, 1))
+    # Without mass the row holds a force, in which gravity has no part.
     gravity, none = to_expr(layout.scene.gravity), ca.SX(3, 1)
     return [
         Part(
@@ -160,6 +162,7 @@ def _check_inertia(body: RigidBody) -> None:
     massless = axes_without_inertia(body)
     # Axes without inertia become balances of torque; about the others the inertia is inverted.
     rest = np.delete(np.delete(at_default(body.inertia), massless, 0), massless, 1)
+    # A rod whose axis is oblique to the body frame has a singular inertia without a row of zeros.
     smallest = float(np.linalg.eigvalsh(rest)[0]) if rest.size else 1.0
     if smallest <= 1e-14 * float(np.abs(rest).max(initial=0.0)):
         raise ValueError(

@@ -128,6 +128,8 @@ class OutputWriter:
         x = ca.SX.sym("x", n + sum(len(w.own_rows) for w in self.connectors))
         z = ca.SX.sym("z", sum(len(w.reads_z) for w in self.connectors))
         columns = [to_expr(scene.gravity), *(body_column(body) for body in scene.bodies)]
+        # The kernel of each connector is called with symbols for its constants, which are appended
+        # to those of the bodies.
         stored, symbols = ca.SX(0), []
         summed = q.of_connectors
         for writer, part in ((w, summed) for w in self.connectors if summed is not None):

@@ -125,6 +125,8 @@ def written_in(scene: Scene, Q: np.ndarray, origin: np.ndarray, place: int = 2) 
         place: which axis of V is the normal.
     """
     start, q_VW = _at_start(scene), quaternion_of(Q) * (1, -1, -1, -1)
+    # All points of the plane have the coordinate of the first one along the normal; those that
+    # differ by rounding are set to it exactly.
     level = times(Q.T, start.points[0] - origin, start.reach)
     axes = {GROUND: Axes(Q.T, q_VW, origin, start.reach, level)}
     for body, R in zip(scene.bodies, start.rotations, strict=True):
@@ -150,6 +152,8 @@ def _is_axis(n: np.ndarray) -> bool:
 
 def _distinct(axes: np.ndarray) -> np.ndarray:
     """Return the directions (k, 3) that differ, up to sign, each once and in order."""
+    # Signs make the first entry that is not small positive; directions equal to 9 digits are one.
+    # Adding 0.0 turns -0 into 0.
     lead = np.take_along_axis(axes, np.argmax(np.abs(axes) > _THIN, axis=1)[:, None], axis=1)
     _, first = np.unique(np.round(axes * np.sign(lead), 9) + 0.0, axis=0, return_index=True)
     return axes[np.sort(first)]
@@ -228,6 +232,8 @@ class _Start(NamedTuple):
         flat = np.abs(self.in_plane(n) @ n) <= _FLAT
         parallel = _across(self.turning, n) <= _FLAT * np.linalg.norm(self.turning, axis=1)
         sizes = np.abs(self.inertias).max(axis=(1, 2))
+        # n must be a principal axis of every inertia, or rotation about n would cause torques about
+        # the other axes.
         principal = _across(self.inertias @ n, n) <= _FLAT * sizes
         return bool(flat.all() and parallel.all() and principal.all())
 
@@ -245,6 +251,8 @@ class _Start(NamedTuple):
             if np.linalg.norm(e1) > floor:
                 break
         e1 = snap(e1 / np.linalg.norm(e1), 1.0)
+        # Right-handed with n as third axis; a cyclic shift makes it axis `place` and stays
+        # right-handed.
         Q = np.column_stack([e1, np.cross(n, e1), n])
         return snap_rotation(np.roll(Q, place - 2, axis=1))
 

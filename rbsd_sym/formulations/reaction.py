@@ -152,6 +152,7 @@ class Reaction:
     def _leaves(self, name: str) -> ca.SX:
         """Return the constants that are the symbols used by a user function."""
         first = 0
+        # The symbols of the user functions follow each other in the order of `Functions`.
         for key, traced in self.kind.functions._asdict().items():
             n = len(traced.leaves) if traced else 0
             if key == name:
@@ -162,6 +163,7 @@ class Reaction:
     def _bound(self) -> tuple[Effect, ...]:
         """Return the effects with symbols for their numbers, from the end of the constants."""
         bound, end = [], self._other_constants.numel()
+        # From the end of the column, where the numbers of the effects are.
         for effect in reversed(self.effects):
             n = effect.column.numel()
             bound.append(effect.bound(self._other_constants[end - n : end]))
@@ -231,6 +233,7 @@ class Reaction:
     def _impulse(self, force: ca.SX, relative: Relative) -> ca.SX:
         """Return the change of the bodies' velocities by an impulse (6, 1) along the strain."""
         markers = [marker_of(self.c[:MARKER]), marker_of(self.c[MARKER : 2 * MARKER])]
+        # Not `_evaluated`: effects call this while the response is being computed.
         evaluated = _Evaluation(None, None, markers, [], self.bodies)  # type: ignore[arg-type]
         return self.accelerate(evaluated, relative.transmit(force), ca.SX.eye(3))
 
@@ -238,6 +241,8 @@ class Reaction:
         """Return by how much the rate along an axis decreases for a unit impulse along it."""
         unit = ca.SX(6, 1)
         unit[axis] = 1
+        # A positive impulse resists a positive rate, so the rate decreases along the change of x
+        # that the impulse causes.
         return -ca.jtimes(
             relative.rate[axis], self.x, self._on_velocities(self._impulse(unit, relative))
         )
@@ -302,6 +307,7 @@ class Reaction:
         first = self.kind.n_data + sum(len(effect.own) for effect in effects[:index])
         own = ca.SX.zeros(self.n_own)
         last, zero = first + len(effects[index].own), change.zero
+        # Effects give new values; events add changes.
         own[first:last] = change.own - self.own[first:last]
         impulse = ca.SX.zeros(6)
         if not change.impulse.is_zero():
@@ -363,6 +369,7 @@ class Reaction:
             first: where its rows (zero function, 6 impulses, data) begin in the traced result.
         """
         n, relative = self.kind.n_data, self._evaluated.response.relative
+        # Rows of one event: zero function, impulse (6), new data (n).
         block = self._user("events")[first : first + 7 + n]
         own = ca.SX.zeros(self.n_own)
         if n:
@@ -403,6 +410,8 @@ def _tangent(evaluated: _Evaluation, velocities: bool) -> ca.SX:
     Arguments:
         velocities: differentiate by the velocities of the markers instead.
     """
+    # Both markers are displaced to first order, and the wrenches differentiated at zero
+    # displacement.
     step, still = ca.SX.sym("step", 12), ca.SX.zeros(6)
     moved = [
         displaced(motion, *((still, part) if velocities else (part, still)))

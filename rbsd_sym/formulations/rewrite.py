@@ -141,6 +141,8 @@ class Axes(NamedTuple):
 
     def point(self, p: np.ndarray) -> np.ndarray:
         """Return a point (3,), given in B, in N; m."""
+        # p - origin may be a difference of nearly equal numbers, whose rounding error is that of
+        # the coordinates.
         out = times(self.turn, p - self.origin, self.scale)
         for i, value in enumerate(self.level):
             if not isinstance(out[i], Scalar) and abs(out[i] - value) <= ROUNDING * self.scale:
@@ -170,6 +172,7 @@ class Axes(NamedTuple):
 def body_in(body: RigidBody, axes: dict[str, Axes]) -> RigidBody:
     """Return the body with axes N, its origin at the centre of mass."""
     own, world, R_WB = axes[body.name], axes[GROUND], matrix_at_start(body.rotation)
+    # The new origin is the centre of mass: v_com = v + R (w x com).
     swing = times(R_WB, np.cross(body.angular_velocity, body.com))
     speed = float(np.linalg.norm(at_default(body.velocity)))
     return replace(
@@ -209,6 +212,8 @@ def connector_in(
     (marker0, joint0), (marker1, joint1) = ((axes[m.body].marker(m), joint) for m, joint in frames)
     changes: dict[str, Any] = {}
     users = {name: getattr(c, name) for name in ("force", "events", "post_newton_step")}
+    # User functions and effects refer to the axes of the joint frame, so only connectors without
+    # them may have it rotated.
     plain = joint0 is EYE and joint1 is EYE and c.law.turns_with_frames
     plain = plain and not c.effects and not any(users.values())
     if plain and not (np.abs(marker0.rotation) == 1).any():
@@ -240,6 +245,7 @@ def _as_given(user: Any, scene: Scene, Q: np.ndarray) -> Any:
 
 def _turned(c: RigidBodySpringDamper, R: np.ndarray) -> dict[str, np.ndarray]:
     """Return K, D and offsets for joint frames A R': components u become R u."""
+    # Row by row, R K R' is kron(R, R) applied to K; translation and rotation are rotated alike.
     both = np.kron(np.eye(2), R)
     changes = {
         name: times(np.kron(both, both), getattr(c, name).reshape(36)).reshape(6, 6)

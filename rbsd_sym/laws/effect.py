@@ -192,6 +192,7 @@ class Effect:
             turns = axis >= 3
         if getattr(self, "name", ""):
             check_identifier(self.name, where)  # type: ignore[attr-defined]
+        # None is accepted only where it is the default, such as a limit that does not count.
         optional = {f.name for f in fields(self) if f.default is None}
         for name, rule in self.rules.items():
             value = getattr(self, name)

@@ -139,6 +139,8 @@ def respond(
     if numbers.user_force is None:
         elastic, viscous = numbers.stiffness @ stretch, numbers.damping @ slip
         force = elastic + viscous
+        # An unsymmetric K stores the energy of its symmetric part; the power of the rest counts as
+        # injected.
         energy, dissipated = ca.dot(stretch, elastic) / 2, ca.dot(slip, viscous)
     else:
         R_WA, R_WC = motion0.frame.R_WA, motion1.frame.R_WA

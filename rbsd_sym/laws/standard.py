@@ -62,6 +62,8 @@ class Standard:
         R_AW = motion0.frame.R_WA.T
         displacement = R_AW @ (motion1.frame.p_WA - motion0.frame.p_WA)
         rotation = matrix_xyz(R_AW @ motion1.frame.R_WA)
+        # Not the derivative of the displacement, which would contain the rotation of A0: the
+        # element is defined so, and the damper stays passive.
         velocity = R_AW @ (motion1.v_WA - motion0.v_WA)
         angular_velocity = R_AW @ (motion1.w_WA - motion0.w_WA)
 

@@ -137,6 +137,7 @@ def seen_from_first(first: Body, second: Body, by_quaternion: bool) -> list[Body
     here, there = first.motion, second.motion
     R_EW = here.frame.R_WA.T
     q = quat_product(quat_conjugate(here.frame.q_WA), there.frame.q_WA)
+    # From angles, the product of the two matrices is cheaper than the quaternions.
     R = quat_matrix(q) if by_quaternion else R_EW @ there.frame.R_WA
     still = ca.SX.zeros(3)
     own = Frame(still, ca.SX.eye(3), ca.SX([1, 0, 0, 0]))
@@ -163,6 +164,7 @@ def gyroscopic(inertia: Expr, w_WB_B: Expr) -> Expr:
     rows = []
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
+        # Row i of w x (I w), with i, j, k in cyclic order, sorted by products of velocities.
         wi, wj, wk = w_WB_B[i], w_WB_B[j], w_WB_B[k]
         rows.append(
             (inertia[k, k] - inertia[j, j]) * wj * wk
