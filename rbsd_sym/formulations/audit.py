@@ -53,12 +53,12 @@ def _wrong_hinge(connector: RigidBodySpringDamper) -> str:
     for axis in connector.law.soft_axes_with_trouble:
         others = np.delete(stiffness, axis)
         if stiffness[axis] < _SOFT * others.min():
-            failure = ("flutters at large angles", "jumps at 90 degrees", "")[axis]
+            failure = ("flutters", "jumps at 90 degrees", "")[axis]
             return (
                 f"connector '{connector.name}': {type(connector.law).__name__} law with a soft "
                 f"rotation axis, local {'xyz'[axis]} ({stiffness[axis]:.3g} N m/rad beside "
-                f"{others.min():.3g}); such a hinge {failure}; turn the joint frame "
-                "so that its z is the hinge axis (rotation_marker0, rotation_marker1), or use "
+                f"{others.min():.3g}); such a hinge {failure} at large angles; turn the joint "
+                "frame so that its z is the hinge axis (rotation_marker0, rotation_marker1), or use "
                 "law=Consistent()"
             )
     return ""
@@ -69,14 +69,8 @@ def _definiteness(name: str, title: str, matrix: np.ndarray) -> list[str]:
     notes, scale = [], float(np.abs(matrix).max())
     skew = float(np.abs(matrix - matrix.T).max())
     if skew > 1e-12 * scale:
-        notes.append(
-            f"connector '{name}': {title} is unsymmetric by {skew:.3g}; check its entries, "
-            "unless that is meant"
-        )
+        notes.append(f"connector '{name}': {title} is unsymmetric by {skew:.3g}")
     lowest = float(np.linalg.eigvalsh((matrix + matrix.T) / 2)[0])
     if lowest < -1e-12 * scale:
-        notes.append(
-            f"connector '{name}': {title} is indefinite, lowest eigenvalue {lowest:.3g}; check "
-            "its signs, unless that is meant"
-        )
+        notes.append(f"connector '{name}': {title} is indefinite, lowest eigenvalue {lowest:.3g}")
     return notes

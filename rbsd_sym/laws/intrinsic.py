@@ -54,8 +54,8 @@ class Intrinsic:
         p_AC = R_AW @ (motion1.frame.p_WA - motion0.frame.p_WA)
         displacement, rotation = se3_log(p_AC, q_AC)
         R_WM = motion0.frame.R_WA @ quat_matrix(quat_half(q_AC))
-        # These rates are not conjugate to the wrench below with its balancing torques, so the damper
-        # can feed energy.
+        # These rates are not conjugate to the wrench below with its balancing torques, so the
+        # damper can feed energy.
         velocity = R_WM.T @ (motion1.v_WA - motion0.v_WA)
         angular_velocity = R_WM.T @ (motion1.w_WA - motion0.w_WA)
 
