@@ -278,7 +278,7 @@ class Dae:
 
     @property
     def aliases(self) -> Mapping[str, str]:
-        """More names of outputs, each with the name that the output has."""
+        """Additional names of outputs, each with the name of the output it means."""
         return self.outputs.aliases if isinstance(self.outputs, Outputs) else {}
 
     @property

@@ -150,7 +150,14 @@ class RotationKind(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Outputs(Mapping[str, Output]):
-    """Outputs by name; `aliases` are more names for some of them, by which they are found, too."""
+    """Outputs by name, found under additional names as well.
+
+    Iteration and length count every output once, under its own name.
+
+    Arguments:
+        named: outputs by their names.
+        aliases: further names, each with the name of the output it means.
+    """
 
     named: Mapping[str, Output]
     aliases: Mapping[str, str]

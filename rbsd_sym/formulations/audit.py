@@ -58,8 +58,8 @@ def _wrong_hinge(connector: RigidBodySpringDamper) -> str:
                 f"connector '{connector.name}': {type(connector.law).__name__} law with a soft "
                 f"rotation axis, local {'xyz'[axis]} ({stiffness[axis]:.3g} N m/rad beside "
                 f"{others.min():.3g}); such a hinge {failure} at large angles; turn the joint "
-                "frame so that its z is the hinge axis (rotation_marker0, rotation_marker1), or use "
-                "law=Consistent()"
+                "frame so that its z is the hinge axis (rotation_marker0, rotation_marker1), or "
+                "use law=Consistent()"
             )
     return ""
 

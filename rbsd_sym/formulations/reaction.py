@@ -135,6 +135,7 @@ class Reaction:
 
     @property
     def _n_head(self) -> int:
+        """Number of constants before the switch: markers, numbers, compliances."""
         return 2 * MARKER + _NUMBERS + COMPLIANCE * self.kind.n_bodies
 
     @cached_property
