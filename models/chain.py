@@ -1,4 +1,4 @@
-"""N bricks end to end as a cantilever that sags under gravity and a side wind."""
+"""A cantilever of N bricks end to end that sags under gravity and a side wind."""
 
 import rbsd_sym as rs
 
@@ -8,7 +8,11 @@ COLUMNS = (f"brick_{N}.displacement", "joint_1.torque_local")
 
 
 def scene(n: int = N) -> rs.Scene:
-    """Bricks of 1 m and 20 kg; stiff joints, softest in torsion."""
+    """Return the chain: bricks of 1 m and 20 kg on stiff joints, which are softest in torsion.
+
+    Arguments:
+        n: number of bricks.
+    """
     bricks, joints = [], []
     for i in range(1, n + 1):
         bricks.append(
@@ -29,4 +33,5 @@ def scene(n: int = N) -> rs.Scene:
                 damping=(2e3, 2e3, 2e3, 20, 200, 200),
             )
         )
+    # The wind is a second component of gravity: a force in proportion to the mass.
     return rs.Scene("chain", bricks, joints, gravity=(0, 2.0, -9.6))

@@ -1,8 +1,9 @@
-"""A crane carries a load over a wall, from rest to rest, with least effort: no swing is left.
+"""A crane carries a load over a wall, from rest to rest, with minimum effort.
 
-The trolley is driven along x by a force, and lifted by a servo: a spring and damper whose offset
-is an Input. The load hangs from it on an elastic rope. While it swings little, and nothing is in
-its way, both are two masses on a spring of load weight / rope length [Wie, Sinha, Liu 1993].
+No swing is left at the end. A force drives the trolley along x, and a servo lifts it: a spring and
+damper whose offset is an Input. The load hangs from the trolley on an elastic rope. For small
+swings, and without the wall, both are two masses on a spring of stiffness load weight / rope length
+[Wie, Sinha, Liu 1993].
 """
 
 from __future__ import annotations
@@ -18,12 +19,15 @@ COLUMNS = ("drive", "lift", "trolley.p_x", "load.p_x", "load.p_z", "rope.potenti
 INPUTS = {"drive": lambda t: 150.0 * np.cos(2.0 * t)}
 METHOD = rs.ocp.Collocation(60, degree=5, input_degree=2, refine=1e-5)
 SOLVER = rs.ocp.Ipopt()
-GRAVITY, MASS, LENGTH = 9.81, 200.0, 4.0  # of trolley and load each, kg; of the loaded rope, m
+# m/s2; mass of trolley and of load, kg; length of the loaded rope, m.
+GRAVITY, MASS, LENGTH = 9.81, 200.0, 4.0
 WEIGHT = MASS * GRAVITY
-ROPE, SERVO = 4e4, 2e4  # N/m
+# Stiffness of rope and lifting servo, N/m.
+ROPE, SERVO = 4e4, 2e4
 DRIVE = rs.Input("drive", "N")
 LIFT = rs.Input("lift", "m")
-WALL = (2.5, 1.0, 1.2)  # place, half width and height of an ellipse for the load's centre, m
+# Position, half width and height of an ellipse that the load's centre must avoid, m.
+WALL = (2.5, 1.0, 1.2)
 
 
 def _rope(
@@ -40,15 +44,16 @@ def _rope(
     rotJ1,
     offset,
 ):
-    """Spring (4e4 N/m) and damper (400 N s/m) along the line between the points."""
+    """Spring (4e4 N/m) and damper (400 N s/m) along the line between the two points."""
     d = displacement
     length = np.sqrt(d @ d)
+    # LENGTH is that of the loaded rope, so the weight is added to the elastic force.
     pull = ROPE * (length - LENGTH) + WEIGHT + 400.0 * (d @ velocity) / length
     return [*(pull / length * d), 0.0, 0.0, 0.0]
 
 
 def scene() -> rs.Scene:
-    """Trolley and load of 200 kg, at rest, the load on the ground's level."""
+    """Return the crane: trolley and load of 200 kg each, at rest, the load at height 0."""
     edge = (0.8, 0.6, 0.3)
     trolley = rs.RigidBody("trolley", MASS, (10, 10, 10), position=(0, 0, LENGTH), size=edge)
     load = rs.RigidBody("load", MASS, (10, 10, 10), size=(0.5, 0.5, 0.5))
@@ -58,6 +63,7 @@ def scene() -> rs.Scene:
         rs.Marker("trolley"),
         stiffness=(0, 0, SERVO, 0, 0, 0),
         damping=(0, 0, 4e3, 0, 0, 0),
+        # The second term carries both weights: with LIFT = 0 the trolley rests at its start.
         offset=(0, 0, LIFT + 2 * WEIGHT / SERVO, 0, 0, 0),
         show=False,
     )
@@ -69,12 +75,14 @@ def scene() -> rs.Scene:
 
 
 def _rest(distance: float, axes: str = "xz") -> dict[str, float]:
+    """Return the end: trolley and load at rest at a distance, m."""
     places = {"trolley": (distance, 0, LENGTH), "load": (distance, 0, 0)}
     ends = {f"{body}.p_{axis}": places[body]["xyz".index(axis)] for body in places for axis in axes}
     return ends | {f"{body}.v_{axis}": 0 for body in places for axis in axes}
 
 
 def _over(t: float) -> float:
+    """Return a height (m) that passes over the wall, for the guess."""
     return 2 * np.sin(np.pi * t / 6) ** 2
 
 
@@ -82,14 +90,19 @@ GUESS = {"load.p_z": _over, "trolley.p_z": lambda t: LENGTH + _over(t), "lift": 
 
 
 def clearance(v: Any) -> Any:
-    """At least 1 outside the wall."""
+    """Return a function of the load's position that is at least 1 outside the wall."""
     place, half, height = WALL
     x, _, z = v["load.position"]
     return ((x - place) / half) ** 2 + (z / height) ** 2
 
 
 def problem(distance: float = 5.0, duration: float = 6.0) -> rs.ocp.Problem:
-    """Over a distance (m) in a given time (s), over the wall, with least forces of the motors."""
+    """Return the problem of carrying the load over the wall with minimum forces of the motors.
+
+    Arguments:
+        distance: m.
+        duration: s.
+    """
     weight = 2 * WEIGHT
     phase = rs.ocp.Phase(
         duration,
@@ -103,9 +116,13 @@ def problem(distance: float = 5.0, duration: float = 6.0) -> rs.ocp.Problem:
 
 
 def level(distance: float, duration: float | None = None) -> rs.ocp.Problem:
-    """No wall, no lifting: in a given time (s) with least effort, else in least time.
+    """Return the problem without wall and lifting: minimum effort in a given time, or minimum time.
 
-    The force in least time is at most load weight times distance / rope length.
+    In minimum time the force is limited to load weight times distance / rope length.
+
+    Arguments:
+        distance: m.
+        duration: s; None for minimum time.
     """
     end, time = _rest(distance, "x"), np.sqrt(LENGTH / GRAVITY)
     if duration:
@@ -120,7 +137,7 @@ def level(distance: float, duration: float | None = None) -> rs.ocp.Problem:
 
 
 def picture(solution: rs.ocp.Solution) -> Any:
-    """Paths of trolley and load with the wall, and the Inputs over time."""
+    """Plot the paths of trolley and load with the wall, and both Inputs over time."""
     from matplotlib.figure import Figure
 
     plan, figure = solution.trajectory, Figure(figsize=(7.5, 7.0), layout="constrained")

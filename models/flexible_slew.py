@@ -1,7 +1,8 @@
-"""A hub pushes a load through a spring, from rest to rest: in least time, or with least effort.
+"""A hub pushes a load through a spring, from rest to rest, in minimum time or with minimum effort.
 
-Two masses and a spring [Wie, Sinha, Liu 1993]. In least time the force jumps between its bounds at
-three instants; a rigid rod would need one, and 2 sqrt(mass distance / force) = 2.828 s.
+Two masses and a spring [Wie, Sinha, Liu 1993]. In minimum time the force switches between its
+bounds at three instants; with a rigid rod one switch and a time of
+2 sqrt(mass distance / force) = 2.828 s would do.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ PUSH = rs.Input("push", "N")
 
 
 def scene(stiffness: float = 1.0) -> rs.Scene:
-    """Two masses of 1 kg, 1 m apart along x, a rod of the given stiffness, a force on the hub."""
+    """Return two masses of 1 kg, 1 m apart on a rod of given stiffness, and a force on the hub."""
     hub = rs.RigidBody("hub", 1, (0.1, 0.1, 0.1), size=(0.3, 0.3, 0.3))
     tip = rs.RigidBody("tip", 1, (0.1, 0.1, 0.1), position=(1, 0, 0), size=(0.2, 0.2, 0.2))
     rod = rs.RigidBodySpringDamper(
@@ -26,6 +27,7 @@ def scene(stiffness: float = 1.0) -> rs.Scene:
         rs.Marker("hub"),
         rs.Marker("tip"),
         stiffness=(stiffness, 0, 0, 0, 0, 0),
+        # The rod is unstrained at its length of 1 m.
         offset=(1, 0, 0, 0, 0, 0),
     )
     motor = rs.Load("motor", rs.Marker("hub"), force=(PUSH, 0, 0))
@@ -33,7 +35,12 @@ def scene(stiffness: float = 1.0) -> rs.Scene:
 
 
 def problem(stiffness: float = 1.0, force_in_rod: float | None = None) -> rs.ocp.Problem:
-    """Over 1 m in least time with at most 1 N, and at most `force_in_rod` (N) in the rod."""
+    """Return the minimum-time problem over 1 m with a push of at most 1 N.
+
+    Arguments:
+        stiffness: of the rod, N/m.
+        force_in_rod: largest force in the rod, N; None for no limit.
+    """
     limit = (
         rs.ocp.Bound(lambda v: v["rod.force_local"][0], -force_in_rod, force_in_rod, "N")
         if force_in_rod
@@ -50,8 +57,9 @@ def problem(stiffness: float = 1.0, force_in_rod: float | None = None) -> rs.ocp
 
 
 def arcs() -> rs.ocp.Problem:
-    """The same in least time, with a phase for each stretch at a bound: switches are exact."""
+    """Return the minimum-time problem with a phase for each arc at a bound: switches are exact."""
     lengths = rs.ocp.Free(1.0, low=0.1, high=5.0)
+    # In each of four phases the push is constant at a bound, and the length is free.
     phases = [rs.ocp.Phase(lengths, path={"push": push}) for push in (1, -1, 1)]
     last = rs.ocp.Phase(lengths, path={"push": -1}, end=REST, end_cost=rs.TIME)
     model = rs.compile_scene(scene())
@@ -59,14 +67,14 @@ def arcs() -> rs.ocp.Problem:
 
 
 def least_effort(duration: float = 5.0) -> rs.ocp.Problem:
-    """In a given time (s), with the least integral of half the force squared; no bounds."""
+    """Return the problem of least integral of half the force squared in a given time (s)."""
     phase = rs.ocp.Phase(duration, end=REST, integral=PUSH**2 / 2)
     model = rs.compile_scene(scene())
     return rs.ocp.Problem(model, phase, inputs={"push": rs.ocp.Free()})
 
 
 def picture(solution: rs.ocp.Solution) -> Any:
-    """Force, motion and force in the rod over time."""
+    """Plot force, motion and force in the rod over time."""
     return rs.plots.trajectory(solution.trajectory, COLUMNS)
 
 

@@ -1,4 +1,4 @@
-"""A flyball governor: its balls rise with the turning shaft and lift the slider."""
+"""A flyball governor: its balls rise as the shaft turns, and lift the slider."""
 
 import numpy as np
 
@@ -13,12 +13,12 @@ K_TURN = 0.05 * K_JOINT
 
 
 def _box(mass, x, y, z):
-    """Principal inertias of a solid cuboid with these edges."""
+    """Return the principal inertias (3,) of a solid cuboid with these edges, kg m2."""
     return mass / 12 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
 
 
 def _turning(name, mass, inertia, position, size, angle=0.0, com=(0, 0, 0)):
-    """A body tilted about y, that turns with the shaft."""
+    """Return a body tilted about y by `angle` (rad) that rotates with the shaft."""
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     return rs.RigidBody(
@@ -30,6 +30,7 @@ def _turning(name, mass, inertia, position, size, angle=0.0, com=(0, 0, 0)):
         rotation=R,
         size=size,
         velocity=np.cross(SPIN, position),
+        # The angular velocity is given in body axes, the velocity in world axes.
         angular_velocity=R.T @ SPIN,
     )
 
@@ -56,8 +57,9 @@ def _strut(
 
 
 def _bodies():
-    """Shaft and slider, and two rods of 0.3 kg with a ball of 5 kg at the tip."""
+    """Return shaft and slider, and two rods of 0.3 kg with a ball of 5 kg at each tip."""
     rod, ball = 0.3, 5.0
+    # Rod and ball as one body: the ball is 0.5 m from the rod's middle.
     com = 0.5 * ball / (rod + ball)
     across = rod * com**2 + ball * (0.5 - com) ** 2
     inertia = _box(rod, 1.0, 0.01, 0.01) + np.array([0, across, across])
@@ -81,7 +83,10 @@ def _bodies():
 
 
 def scene() -> rs.Scene:
-    """Exudyn's `stiffFlyballGovernor`: undamped joints with modes up to 2.8e4 rad/s."""
+    """Return Exudyn's `stiffFlyballGovernor`: stiff joints without damping.
+
+    Its modes reach 2.8e4 rad/s, beside a slow motion, which makes it hard for most methods.
+    """
     k, turn = K_JOINT, K_TURN
     base = np.diag([k, k, k, turn, turn, 0])
     connectors = [

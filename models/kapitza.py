@@ -1,23 +1,26 @@
-"""An upright body on a vibrating hinge: fast enough, the vibration holds it up [Kapitza 1951]."""
+"""An upright body on a vibrating hinge: vibrating fast enough, it stays upright [Kapitza 1951]."""
 
 import numpy as np
 
 import rbsd_sym as rs
 
-LENGTH = 0.5  # m, from the hinge to the centre of mass
+# Distance from the hinge to the centre of mass, m.
+LENGTH = 0.5
 T_END = 1.0
 COLUMNS = ("body.position", "pivot.force_local")
 
 
 def scene() -> rs.Scene:
-    """1 kg, 1 m high, on a hinge whose offset moves up and down by `amplitude` at `frequency`.
+    """Return the pendulum: 1 kg, 1 m high, on a hinge driven up and down.
 
-    The hinge gives a little: its own frequency is 30 times that of the drive, so that it follows
-    to 0.1 %. Gravity would topple the body with 3.8 1/s.
+    The Params `amplitude` (m) and `frequency` (Hz) describe the drive. The hinge is elastic; its
+    natural frequency is 30 times that of the drive, so that it follows to 0.1 %. Without the drive
+    gravity topples the body at a rate of 3.8 1/s.
     """
     amplitude = rs.Param("amplitude", 0.1, "m")
     frequency = rs.Param("frequency", 20.0, "Hz")
     w = 2 * np.pi * frequency
+    # For 1 kg: a natural frequency of 30 w and a damping ratio of 0.1.
     k, d = (30 * w) ** 2, 6 * w
     body = rs.RigidBody(
         "body", 1.0, (1 / 12, 1 / 12, 1e-3), position=(0, 0, LENGTH), size=(0.05, 0.05, 1)
@@ -33,6 +36,7 @@ def scene() -> rs.Scene:
     return rs.Scene("kapitza", [body], [pivot], gravity=(0, 0, -9.81))
 
 
+# What `python -m rbsd_sym stability models/kapitza.py` maps: both axes, and the drive's period.
 STABILITY = {
     "x": {"frequency": np.linspace(5, 30, 14)},
     "y": {"amplitude": np.linspace(0.01, 0.36, 15)},

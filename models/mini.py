@@ -1,4 +1,4 @@
-"""The element's mini example: one body on springs along its axes, pushed along y."""
+"""The mini example of the element: one body on springs along its axes, moving along y."""
 
 import rbsd_sym as rs
 
@@ -7,7 +7,7 @@ COLUMNS = ("body.position", "spring.force_local")
 
 
 def scene() -> rs.Scene:
-    """1 kg on three springs of 500 N/m, a damper of 5 N s/m along y, start at 1000 m/s."""
+    """Return 1 kg on springs of 500 N/m, with 5 N s/m along y, started at 1000 m/s."""
     body = rs.RigidBody("body", mass=1, inertia=(1, 1, 1), velocity=(0, 1000, 0))
     spring = rs.RigidBodySpringDamper(
         "spring",

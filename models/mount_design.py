@@ -1,7 +1,8 @@
-"""Engine mounts: stiffness and damping for the least force on the vehicle while the engine runs up.
+"""Engine mounts designed for the least force on the vehicle while the engine runs up.
 
-No Input is to be found, only two Params. Soft mounts pass less force on; the drive torque and the
-resonances on the way up limit how soft and how lightly damped they may be, by the mounts' travel.
+The problem has no Input to be found, only two Params, stiffness and damping. Soft mounts transmit
+less force; the drive torque and the resonances during run-up limit how soft and how lightly damped
+they may be, through the travel of the mounts.
 """
 
 from __future__ import annotations
@@ -22,19 +23,30 @@ COLUMNS = (
 )
 METHOD = rs.ocp.Collocation(tuple(np.linspace(0, 1, 101) ** 0.7), degree=7, path_points=4)
 MASS, GRAVITY = 120.0, 9.81
-TILT = math.radians(35)  # of the mounts, towards the engine
-TRAVEL = 3e-3  # m, each way
-UNBALANCE = 0.04  # kg m
-TORQUE = 150.0  # N m, of the drive at full speed
-SLOW, FAST = 2 * math.pi * 2, 2 * math.pi * 20  # rad/s
+# Inclination of the mounts towards the engine.
+TILT = math.radians(35)
+# Largest travel of a mount in each direction, m.
+TRAVEL = 3e-3
+# Mass times eccentricity, kg m.
+UNBALANCE = 0.04
+# Drive torque at full speed, N m.
+TORQUE = 150.0
+# Shaft speed at start and end, rad/s.
+SLOW, FAST = 2 * math.pi * 2, 2 * math.pi * 20
 STIFFNESS = rs.Param("stiffness", 3e5, "N/m")
 DAMPING = rs.Param("damping", 1500.0, "N s/m")
 
 
 def _mount(name: str, side: int) -> rs.RigidBodySpringDamper:
-    """A front and a rear mount, 0.6 m apart; z points to the engine. The weight gives no strain."""
+    """Return a front and a rear mount as one connector; its z axis points towards the engine.
+
+    The two are 0.6 m apart, which gives the rotational stiffness. The offset cancels the weight at
+    rest.
+    """
     c, s = math.cos(TILT), side * math.sin(TILT)
     turned = [[1, 0, 0], [0, c, -s], [0, s, c]]
+    # Shear is softer than compression. Rotations about y and z strain the two mounts at 0.3 m from
+    # the middle; about x a pair hardly resists.
     share = np.array([0.4, 0.4, 1, 0.001, 0.3**2, 0.4 * 0.3**2])
     place, half = (0, side * 0.3, -0.25), MASS * GRAVITY / 2
     return rs.RigidBodySpringDamper(
@@ -52,10 +64,11 @@ def _mount(name: str, side: int) -> rs.RigidBodySpringDamper:
 
 
 def scene() -> rs.Scene:
-    """A block on two mounts, each for a front and a rear one; its shaft speeds up evenly."""
+    """Return a block on a left and a right pair of mounts; its shaft accelerates uniformly."""
     engine = rs.RigidBody("engine", MASS, (4.5, 9.0, 8.0), size=(0.7, 0.5, 0.45))
     rise = (FAST - SLOW) / T_END
     speed = SLOW + rise * rs.TIME
+    # The unbalance turns by the integral of the speed.
     angle = SLOW * rs.TIME + rise * rs.TIME**2 / 2
     pull = UNBALANCE * speed**2
     loads = [
@@ -71,13 +84,13 @@ def scene() -> rs.Scene:
 
 
 def transmitted(v: Any) -> Any:
-    """Square of the force on the vehicle beyond the weight, kN2."""
+    """Return the squared force on the vehicle beyond the weight, kN2."""
     force = v["left.force0"] + v["right.force0"] + np.array([0, 0, MASS * GRAVITY])
     return force @ force / 1e6
 
 
 def problem() -> rs.ocp.Problem:
-    """Both Params within what rubber gives, travel within its limits."""
+    """Return the problem: Params within what rubber can provide, travel within its limits."""
     travel = (-TRAVEL, TRAVEL)
     phase = rs.ocp.Phase(
         T_END,
@@ -92,7 +105,7 @@ def problem() -> rs.ocp.Problem:
 
 
 def picture(solution: rs.ocp.Solution) -> Any:
-    """Motion of the engine, travel and force of the mounts over time."""
+    """Plot motion of the engine, travel and force of the mounts over time."""
     return rs.plots.trajectory(solution.trajectory, COLUMNS)
 
 

@@ -1,4 +1,4 @@
-"""Two free bricks on one undamped connector: what each law does to energy and momentum."""
+"""Two free bricks on one undamped connector: shows what each law does to energy and momentum."""
 
 import rbsd_sym as rs
 
@@ -7,7 +7,13 @@ COLUMNS = ("energy", "angular_momentum", "joint.rotation")
 
 
 def scene(law: object = None) -> rs.Scene:
-    """Two 20 kg bricks side by side that turn against each other; the law is Consistent."""
+    """Return two 20 kg bricks side by side that rotate against each other.
+
+    Energy is constant and angular momentum zero, if the law conserves them.
+
+    Arguments:
+        law: law of the connector; `Consistent` by default.
+    """
     inertia = (0.08333333333333336, 1.7333333333333334, 1.6833333333333333)
     spin = (8.5, 10.5, 16.0)
     left = rs.RigidBody(

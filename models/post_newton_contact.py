@@ -1,4 +1,4 @@
-"""A ball on a floor, the contact switched by a post-Newton step instead of an event."""
+"""A ball on a floor, with contact switched by a post-Newton step instead of an event."""
 
 import rbsd_sym as rs
 
@@ -22,7 +22,7 @@ def force(
     rotJ1,
     offset,
 ):
-    """Spring and damper while data[0] is 1."""
+    """Return the force of a spring and damper along z while data[0] is 1."""
     return [0, 0, data[0] * (STIFFNESS * displacement[2] + DAMPING * velocity[2]), 0, 0, 0]
 
 
@@ -41,18 +41,20 @@ def post_newton_step(
     rotJ1,
     offset,
 ):
-    """Contact begins where the ball is below the floor and pushed up, and ends with the push.
+    """Return [error, recommended step, data] after a step.
 
-    The error is the force that was there, or missing, by mistake.
+    Contact closes where the ball is below the floor and pushed up, and opens with the push. The
+    error is the force that was present, or missing, by mistake during the step just solved.
     """
     push = -(STIFFNESS * displacement[2] + DAMPING * velocity[2])
     touches = rs.where(displacement[2] < 0, rs.where(push > 0, 1, 0), 0)
     error = rs.where(touches == data[0], 0, abs(push))
+    # A wrong state asks for the step to be redone with 1 us, -1 leaves the step as it is.
     return [error, rs.where(error > 0, 1e-6, -1), touches]
 
 
 def scene() -> rs.Scene:
-    """1 kg dropped from 0.1 m."""
+    """Return a ball of 1 kg dropped from 0.1 m."""
     ball = rs.RigidBody(
         "ball", 1, (4e-4, 4e-4, 4e-4), position=(0, 0, 0.1), size=(0.05, 0.05, 0.05)
     )

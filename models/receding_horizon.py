@@ -1,7 +1,7 @@
-"""A hub pushes a load through a spring, with a plan made anew every quarter of a second.
+"""A hub pushes a load through a spring, following a plan that is renewed every quarter of a second.
 
-The plans are made by a solver exported to C, for a spring softer than the real one, and know
-nothing of the gust that hits the load. Without a C compiler they are made in Python.
+A solver exported to C makes the plans, for a spring softer than the real one and without knowledge
+of the gust that hits the load. Without a C compiler Python makes them.
 """
 
 from __future__ import annotations
@@ -16,18 +16,20 @@ import numpy as np
 import rbsd_sym as rs
 
 T_END = 20.0
-STEP = 0.25  # s, between plans; an interval of the mesh
+# Time between plans, s; one interval of the mesh.
+STEP = 0.25
 METHOD = rs.ocp.Shooting(24, steps=1)
 HORIZON = 6.0
 GOAL = {"hub.p_x": 1.0, "tip.p_x": 2.0, "hub.v_x": 0.0, "tip.v_x": 0.0}
-STIFFNESS = 1.0  # N/m, what the plans believe
+# Stiffness of the rod in the plans, and of the plant, N/m.
+STIFFNESS = 1.0
 TRUE_STIFFNESS = 1.6
 PUSH, GUST = rs.Input("push", "N"), rs.Input("gust", "N")
 COLUMNS = ("push", "gust", "hub.p_x", "tip.p_x", "rod.force_local")
 
 
 def scene() -> rs.Scene:
-    """Two masses of 1 kg, 1 m apart along x, a rod, a force on the hub, a gust on the tip."""
+    """Return two masses of 1 kg on a rod along x, a force on the hub, and a gust on the tip."""
     hub = rs.RigidBody("hub", 1, (0.1, 0.1, 0.1), size=(0.3, 0.3, 0.3))
     tip = rs.RigidBody("tip", 1, (0.1, 0.1, 0.1), position=(1, 0, 0), size=(0.2, 0.2, 0.2))
     rod = rs.RigidBodySpringDamper(
@@ -45,7 +47,11 @@ def scene() -> rs.Scene:
 
 
 def problem(start: dict[str, float] | None = None) -> rs.ocp.Problem:
-    """Near the goal soon, over the next 6 s, with at most 1 N; no gust is expected."""
+    """Return the planning problem: be near the goal soon, within 6 s, with at most 1 N.
+
+    Arguments:
+        start: states at which the plan begins; by default those of the scene.
+    """
 
     def miss(v: Any) -> Any:
         return sum((v[name] - goal) ** 2 for name, goal in GOAL.items())
@@ -61,12 +67,20 @@ def problem(start: dict[str, float] | None = None) -> rs.ocp.Problem:
 
 
 def gust(t: float) -> float:
-    """From 10 s on for one second, in N."""
+    """Return the gust (N) at time t (s): 0.6 N for one second from 10 s on."""
     return 0.6 if 10.0 <= t < 11.0 else 0.0
 
 
 class Run(NamedTuple):
-    """A closed loop: times of plans (s), what was applied, how long each plan took (s), motion."""
+    """Record of a closed loop.
+
+    Fields:
+        t: times of the plans, and the end, s.
+        push: force applied after each plan, N.
+        seconds: time that each plan took, s.
+        states: state values at `t`, by name.
+        said: which controller made the plans.
+    """
 
     t: np.ndarray
     push: np.ndarray
@@ -79,7 +93,9 @@ Controller = Callable[[dict[str, float]], float]
 
 
 def controller_in_c() -> Controller:
-    """The exported solver; it starts from its last plan, moved by one interval.
+    """Return a controller that calls the exported solver.
+
+    Each solution starts from the previous one, shifted by one interval.
 
     Raises:
         CompilerMissing: there is no C compiler.
@@ -101,7 +117,7 @@ def controller_in_c() -> Controller:
 
 
 def controller_in_python() -> Controller:
-    """The same plans by `optimise`, each transcribed anew."""
+    """Return a controller that calls `optimise`, which transcribes the problem every time."""
 
     def control(state: dict[str, float]) -> float:
         found = rs.ocp.optimise(problem(state), METHOD, fly=False)
@@ -111,7 +127,7 @@ def controller_in_python() -> Controller:
 
 
 def controller() -> tuple[Controller, str]:
-    """The solver in C if there is a compiler, and what to say of it."""
+    """Return the controller in C, or in Python without a compiler, and which one it is."""
     try:
         return controller_in_c(), "plans by the exported solver in C"
     except rs.CompilerMissing:
@@ -119,13 +135,19 @@ def controller() -> tuple[Controller, str]:
 
 
 def close_the_loop(t_end: float = T_END, using: tuple[Controller, str] | None = None) -> Run:
-    """The plant by IDAS with the true spring and the gust, the push from a plan every step."""
+    """Simulate the true plant with the gust by IDAS, with the push from a new plan in every step.
+
+    Arguments:
+        t_end: s.
+        using: controller and its description; by default `controller()`.
+    """
     control, said = using or controller()
     plant = rs.compile_scene(scene())
     state = {label.name: float(label.start) for label in plant.x_labels}
     times = STEP * np.arange(round(t_end / STEP))
     states = {name: [value] for name, value in state.items()}
     pushes, seconds = [], []
+    # Measure, plan, apply the first interval of the plan, and repeat.
     for t in times:
         begun = time.perf_counter()
         pushes.append(control(state))
@@ -151,7 +173,7 @@ def close_the_loop(t_end: float = T_END, using: tuple[Controller, str] | None = 
 
 
 def picture(run: Run) -> Any:
-    """Where hub and load are, what was pushed, and how long the plans took."""
+    """Plot where hub and load are, the forces, and how long the plans took."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.5, 7), layout="constrained")

@@ -1,4 +1,4 @@
-"""A block on a moving belt, held by a spring: it sticks, and slips back."""
+"""A block on a moving belt, held by a spring, that alternately sticks and slips."""
 
 import rbsd_sym as rs
 
@@ -7,9 +7,11 @@ COLUMNS = ("block.p_x", "block.v_x", "spring.friction_x_force")
 
 
 def scene(belt: object = 0.5, smoothing: float = 0) -> rs.Scene:
-    """1 kg, weight 10 N, static friction 0.4, kinetic 0.3, on a belt with this velocity (m/s).
+    """Return the block: 1 kg, weight 10 N, static friction 0.4, kinetic friction 0.3.
 
-    With `smoothing` (m/s) friction is regularised over this width, and has no events.
+    Arguments:
+        belt: velocity of the belt, m/s; a number, Param or Input.
+        smoothing: width (m/s) of regularised friction without events; 0 for the form with events.
     """
     block = rs.RigidBody("block", 1, (0.1, 0.1, 0.1), velocity=(0.5, 0, 0), size=(0.3, 0.2, 0.2))
     friction = rs.Friction(

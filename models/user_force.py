@@ -1,4 +1,4 @@
-"""A connector whose force is a Python function, in the element's documented signature."""
+"""A connector whose force is a Python function with the documented signature of the element."""
 
 import rbsd_sym as rs
 
@@ -20,7 +20,7 @@ def force(
     rotJ1,
     offset,
 ):
-    """Springs with a little damping along y and about x; called once, with symbols."""
+    """Return 6 forces: springs with some damping along y and about x; called once, with symbols."""
     k, u, th = stiffness, displacement, rotation
     return [
         u[0] * k[0][0],
@@ -33,7 +33,7 @@ def force(
 
 
 def scene() -> rs.Scene:
-    """1 kg started along y and turning about x; the function leaves the offset unused."""
+    """Return 1 kg started along y and rotating about x; the function ignores the offset."""
     body = rs.RigidBody(
         "body",
         mass=1,

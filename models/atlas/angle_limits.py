@@ -1,14 +1,14 @@
-"""Angles that end: pitch at 90 degrees, rotation at 180.
+"""Angles with limits: pitch at 90 degrees, rotation at 180.
 
-`Standard` measures the relative rotation by Tait-Bryan xyz angles. Where the pitch passes 90
-degrees, roll and yaw jump by 180 degrees, and the torque with them: a motion straight through stops
-the integrator, one that passes close by takes thousands of steps, and energy is made. Bodies in
-`TaitBryan` coordinates take several times the steps there under any law, and cannot start there at
-all, if they spin; quaternions with `Consistent` pass without notice. All laws jump at 180 degrees:
-a spring wound to there lets go and pulls from the other side. Energy is kept if the spring rests at
-zero, but an offset near 180 degrees makes 2 pi k offset (J) at each passage. Remedy: turn the joint
-frames so that rest is at zero, instead of the offset. `study.domain` tells which connector came to
-its limit, when, and how near.
+`Standard` measures the relative rotation by Tait-Bryan xyz angles. When the pitch passes 90
+degrees, roll and yaw jump by 180 degrees, and the torque jumps with them: a motion straight through
+stops the integrator, one that passes close by takes thousands of steps, and energy is created.
+Bodies in `TaitBryan` coordinates take several times as many steps there under any law, and cannot
+start there at all if they spin; quaternions with `Consistent` pass without any effect. All laws
+jump at 180 degrees: a spring wound up to there lets go and pulls from the other side. Energy is
+conserved if the spring is relaxed at zero, but an offset near 180 degrees creates 2 pi k offset (J)
+at each passage. Remedy: rotate the joint frames so that the spring is relaxed at zero, instead of
+using an offset. `study.domain` reports which connector came to its limit, when, and how close.
 """
 
 from __future__ import annotations
@@ -44,12 +44,17 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 4
-MOST_STEPS = 10_000  # in one output interval
-OFFSET = 3.1  # rad
-_TILT = 0.01  # rad, of the axis of the turn against y
+# Most steps in one output interval.
+MOST_STEPS = 10_000
+# Offset close to half a turn, rad.
+OFFSET = 3.1
+# Angle between the axis of the turn and y, rad: a turn about y itself is a special case.
+_TILT = 0.01
 _EYE = np.eye(3)
-_UP = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # 90 degrees about y
-_WAYS: dict[str, tuple[Any, Any]] = {  # law and coordinates
+# 90 degrees about y: at this relative rotation the xyz angles are singular.
+_UP = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+# Law of the connector and coordinates of the body.
+_VARIANTS: dict[str, tuple[Any, Any]] = {
     "Standard, quaternion": (Standard(), Quaternion()),
     "Consistent, Tait-Bryan": (Consistent(), TaitBryan()),
     "Consistent, quaternion": (Consistent(), Quaternion()),
@@ -60,7 +65,14 @@ _METHOD = ExplicitRK(1e-8, 1e-10, max_steps=MOST_STEPS)
 def spun(
     law: Any, spin: Any = (0, 0, 0), offset: float = 0.0, frame: Any = _EYE, start: Any = _EYE
 ) -> Scene:
-    """A body of inertia 1 on a torsion spring of 1 N m/rad; rotations of joint frame and body."""
+    """Return a body of inertia 1 kg m2 on a torsion spring of 1 N m/rad.
+
+    Arguments:
+        law: law of the spring.
+        spin: initial angular velocity, rad/s.
+        offset: offset of the spring about x, rad.
+        frame, start: rotation of the joint frame, and of the body at the start (3, 3).
+    """
     body = RigidBody("body", 1.0, (1, 1, 1), angular_velocity=spin, rotation=start)
     spring = RigidBodySpringDamper(
         "spring",
@@ -75,10 +87,10 @@ def spun(
 
 
 def study(full: bool) -> Tables:
-    """Torque over the turn, passages of the pitch, of the angle pi, and of an offset near pi."""
+    """Measure the torque over a turn, passages of the pitch, of pi, and of an offset near pi."""
     misses = [0.0, *np.logspace(-8, -1, 15 if full else 3)]
     passages = []
-    for name, (law, formulation) in _WAYS.items():
+    for name, (law, formulation) in _VARIANTS.items():
         standing = spun(law, (0.1, 0.2, 0), frame=_UP, start=_UP)
         passages.append((name, None, *_passage(compile_scene(standing, formulation, False))))
         model = compile_scene(spun(law, (0, 2, 0)), formulation, minimal=False)
@@ -107,7 +119,7 @@ def study(full: bool) -> Tables:
 
 
 def _torque() -> Table:
-    """Size of the torque and its part along the axis, over a turn about an axis close to y."""
+    """Return the size of the torque over a turn about an axis close to y, for two laws."""
     axis = np.array([np.sin(_TILT), np.cos(_TILT), 0.0])
     degrees = np.arange(0.0, 270.5, 2.5)
     columns = [degrees]
@@ -124,20 +136,20 @@ def _torque() -> Table:
 
 
 def _passage(model: Model, miss: float = 0.0) -> tuple[Any, ...]:
-    """How a run through a relative pitch of 90 degrees ends, and what `domain` says of it."""
+    """Return how a run through a relative pitch of 90 degrees ends, and what `domain` reports."""
     times, start = np.linspace(0.0, 2.0, 41), {"body.w_z": miss}
     run = simulate(model, times, _METHOD, start=start, throw=False)
     energy = float(run["energy"][-1] / run["energy"][0])
-    told = [
+    reports = [
         f"{row[0]}: {row[1]} {row[3]:.1f} deg at {row[4]:.2f} s"
         for row in domain(model, run, 10.0).rows
     ]
     steps = run.stats["steps"]
-    return run.outcome.name, float(run.t[-1]), steps, energy, "; ".join(told)
+    return run.outcome.name, float(run.t[-1]), steps, energy, "; ".join(reports)
 
 
 def _wraps() -> tuple[Table, Table]:
-    """A spring wound past 180 degrees by 4 rad/s, beside one that counts turns."""
+    """Return motions of a spring wound past pi by 4 rad/s, and of one that counts turns."""
     times = np.linspace(0.0, 3.5, 141)
     angles, spins = [], []
     for law in LAWS.values():
@@ -154,7 +166,7 @@ def _wraps() -> tuple[Table, Table]:
 
 
 def _offsets(t_end: float) -> tuple[Table, Table, list[Table]]:
-    """A spring with an offset of 3.1 rad, pushed a little, and a little more."""
+    """Return motions of a spring with an offset of 3.1 rad after a small and a larger push."""
     times = np.linspace(0.0, t_end, 241)
     cases = {
         "small": (0.03, OFFSET, _EYE),
@@ -175,7 +187,7 @@ def _offsets(t_end: float) -> tuple[Table, Table, list[Table]]:
 
 
 def draw(tables: Tables) -> Figure:
-    """Torque over the turn, steps over the miss, the passage of pi, and the offset near pi."""
+    """Draw torque over the turn, steps over the miss, the passage of pi, and the offset near pi."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.5, 7.6), layout="constrained")
@@ -225,11 +237,12 @@ def draw(tables: Tables) -> Figure:
 
 
 def _draw_passages(panel: Any, passages: Table) -> None:
-    """Steps over how far the axis misses (at least 10 are drawn); crosses where the run stopped."""
+    """Draw steps over the miss of the axis (at least 10 are drawn); crosses are stopped runs."""
     colours = (LAW_COLOURS["Standard"], COLOURS[6], LAW_COLOURS["Consistent"])
-    for (way, marker), colour in zip(zip(_WAYS, "os^", strict=True), colours, strict=True):
+    for (way, marker), colour in zip(zip(_VARIANTS, "os^", strict=True), colours, strict=True):
         mine = passages.column("way") == way
-        miss = np.maximum(passages.column("miss")[mine], 1e-9)  # 0 has a place of its own
+        # A logarithmic axis has no zero: a miss of 0 is drawn at 1e-9, a start at 90 deg at 1e-10.
+        miss = np.maximum(passages.column("miss")[mine], 1e-9)
         miss[np.isnan(miss)] = 1e-10
         steps = np.maximum(passages.column("steps")[mine], 10)
         good = passages.column("outcome")[mine] == "reached_end"

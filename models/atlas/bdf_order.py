@@ -1,15 +1,15 @@
 """BDF of high order on undamped stiff connectors, and Jacobians by differences.
 
-On the imaginary axis, where undamped modes live, BDF of order 3 to 5 multiplies what it does not
-resolve by more than 1. A fast mode of amplitude 1e-8 beside a slow motion then grows until the
-error control sees it, and the step follows it from there: 83,763 steps of IDAS instead of 1,033
-with `max_order=2`. On the flyball governor CVODES at rtol 1e-3 reports success and is wrong by up
-to 4 m/s, and so is `ExplicitRK` at 1e-2; `Idas`, with its margin of safety, is not. Differences in
-place of exact Jacobians have errors in proportion to the stiffness, 3e-8 of it forward and 6e-11
-central: in a stiff pendulum they pass the entries of the slow motion at 4e8 and 2e11 N/m. Newton's
-method notices late: its iterations are the same up to 3e7 N/m, and a third more at 1e8. Remedy:
-`max_order=2`, `Rosenbrock` or `GeneralizedAlpha` for undamped stiff connectors, tight tolerances
-for BDF of order 5.
+On the imaginary axis, where the eigenvalues of undamped modes lie, BDF of order 3 to 5 multiplies
+what it does not resolve by more than 1. A fast mode of amplitude 1e-8 beside a slow motion then
+grows until the error control detects it, and the step has to follow it from there: 83,763 steps of
+IDAS instead of 1,033 with `max_order=2`. On the flyball governor CVODES at rtol 1e-3 reports
+success and is wrong by up to 4 m/s, and so is `ExplicitRK` at 1e-2; `Idas`, with its margin of
+safety, is not. Differences in place of exact Jacobians have errors in proportion to the stiffness,
+3e-8 of it forward and 6e-11 central: in a stiff pendulum they exceed the entries of the slow motion
+at 4e8 and 2e11 N/m. Newton's method is affected late: its iterations are the same up to 3e7 N/m,
+and a third more at 1e8. Remedy: `max_order=2`, `Rosenbrock` or `GeneralizedAlpha` for undamped
+stiff connectors, tight tolerances for BDF of order 5.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from rbsd_sym.study import Table
 
 from . import difference_jacobian
 from .implicit_damping import bdf_roots
-from .oscillators import legend_below, look
+from .oscillators import legend_below, style_of
 from .pages import model_file
 
 if TYPE_CHECKING:
@@ -56,32 +56,37 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 11
-_FAST, _TINY = 1e4, 1e-8  # rad/s and m: the mode that ought not to matter
-_END = 10.0  # s
-# Of the flyball governor after 1 s, of extended precision: rod_0.v_y (m/s), and the slider (m).
+# Frequency (rad/s) and amplitude (m) of the mode that should not matter.
+_FAST, _TINY = 1e4, 1e-8
+# Length of a run, s.
+_END = 10.0
+# Reference of the flyball governor after 1 s, in extended precision: rod_0.v_y (m/s) and the height
+# of the slider (m).
 SPEED, HEIGHT = -0.903124289663356422, 0.485000928413884402
-_AS_THEY_ARE = 2.0  # safety that hands the tolerances of four states on to IDAS as they are
-_MANY = 10_000_000  # steps
+# Safety factor with which IDAS receives the given tolerances unchanged, for four states.
+_AS_THEY_ARE = 2.0
+# Steps: practically no limit.
+_MANY = 10_000_000
 _STYLES: dict[str, dict[str, Any]] = {
     "CVODES, order up to 5": {"color": "0.5", "marker": "P", "ms": 6, "ls": ":"},
-    "Idas": look("Idas"),
-    "Idas, max_order 2": look("Idas", ls="--", mfc="white"),
-    "Rosenbrock": look("Rosenbrock"),
-    "ExplicitRK": look("ExplicitRK"),
-    "GeneralizedAlpha": look("GeneralizedAlpha", ls=""),
+    "Idas": style_of("Idas"),
+    "Idas, max_order 2": style_of("Idas", ls="--", mfc="white"),
+    "Rosenbrock": style_of("Rosenbrock"),
+    "ExplicitRK": style_of("ExplicitRK"),
+    "GeneralizedAlpha": style_of("GeneralizedAlpha", ls=""),
 }
 
 
 @dataclass(frozen=True)
 class _Cvodes:
-    """SUNDIALS CVODES by its own defaults, through CasADi: BDF of order up to 5."""
+    """SUNDIALS CVODES with its own defaults, through CasADi: BDF of order up to 5."""
 
     rtol: float
     atol: float
     count: ClassVar[Mapping[str, str]] = {"steps": "nsteps", "newton_iterations": "nniters"}
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
-        """Integrate."""
+        """Integrate the model over the times of the experiment."""
         options = {"reltol": self.rtol, "abstol": self.atol, "max_num_steps": _MANY}
         return run(model, experiment, "cvodes", options, _judge, self.count)
 
@@ -92,7 +97,7 @@ def _judge(result: Run) -> Verdict:
 
 @cache
 def two_modes() -> Model:
-    """1 kg at 1 rad/s from 1 m, and 1 kg at 1e4 rad/s from 1e-8 m; nothing joins them."""
+    """Return 1 kg at 1 rad/s from 1 m, and 1 kg at 1e4 rad/s from 1e-8 m, without coupling."""
     bodies = [
         RigidBody("slow", 1, (1, 1, 1), position=(1, 0, 0)),
         RigidBody("fast", 1, (1, 1, 1), position=(_TINY, 0, 0)),
@@ -105,7 +110,7 @@ def two_modes() -> Model:
 
 
 def study(full: bool) -> dict[str, Table]:
-    """Roots of BDF; the fast mode; the governor; Jacobians by differences."""
+    """Measure roots of BDF, the fast mode, the governor, and Jacobians by differences."""
     rows = [
         (order, float(h), float(np.abs(bdf_roots(order, float(h))).max()))
         for order in (1, 2, 3, 4, 5)
@@ -138,8 +143,9 @@ def _fast_mode(orders: tuple[int, ...]) -> Table:
 
 @cache
 def governor() -> Model:
-    """26 modes up to 2.8e4 rad/s without damping, and a slow motion."""
-    with warnings.catch_warnings():  # hinges about local y are sound below 90 degrees
+    """Return the flyball governor: undamped modes up to 2.8e4 rad/s beside a slow motion."""
+    # Its hinges about the local y are valid below 90 degrees, which they never reach.
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", ModelWarning)
         return compile_scene(model_file("governor").scene())
 
@@ -178,7 +184,7 @@ def _governor(full: bool) -> Table:
 
 
 def draw(tables: Tables) -> Figure:
-    """Roots, steps, the governor's errors, and what differences do to Jacobians."""
+    """Draw roots, steps, errors of the governor, and what differences do to Jacobians."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.5, 8.0), layout="constrained")
@@ -194,17 +200,17 @@ def draw(tables: Tables) -> Figure:
         (digits, "jacobian", "largest_error", "largest error of the Jacobian [1/s²]"),
         (newton, "newton", "newton_iterations", "Newton iterations of Idas, max_order 2"),
     ):
-        for way, style in zip(difference_jacobian.WAYS, ("o-", "^--", "s:"), strict=True):
-            mine = tables[table].column("jacobian") == way
+        for kind, style in zip(difference_jacobian.KINDS, ("o-", "^--", "s:"), strict=True):
+            mine = tables[table].column("jacobian") == kind
             k, values = (tables[table].column(c)[mine] for c in ("stiffness", column))
             if values.any():
                 panel.plot(
                     k,
                     values,
                     style,
-                    label=f"{way} Jacobian",
+                    label=f"{kind} Jacobian",
                     ms=4,
-                    color=COLOURS[difference_jacobian.WAYS.index(way)],
+                    color=COLOURS[difference_jacobian.KINDS.index(kind)],
                 )
         panel.set(xscale="log", yscale="log", xlabel="stiffness of the joint [N/m]", ylabel=label)
         legend_below(panel)

@@ -1,11 +1,12 @@
 """Circulatory forces and negative damping.
 
-A mass on a plane spring whose stiffness is not symmetric, K = [[k, g], [-g, k]]: the part g turns
+A mass on a plane spring whose stiffness is not symmetric, K = [[k, g], [-g, k]]: the part g turns a
 displacement into a force across it, as the oil film of a bearing does, and feeds whirling. Without
-a damper any g grows, by about g / (2 sqrt(k m)); a damper c holds it as long as g < c sqrt(k/m).
-Negative damping grows by -c / (2 m). Eigenvalues of the linearised model tell both before any
-simulation does. Remedy: such terms are noted by `model.notes`; `Consistent` refuses a stiffness
-that is not symmetric; where they are meant, check the eigenvalues.
+a damper every g makes the motion grow, at about g / (2 sqrt(k m)); a damper c prevents this as long
+as g < c sqrt(k/m). Negative damping makes it grow at -c / (2 m). Eigenvalues of the linearised
+model predict both before any simulation. Remedy: `model.notes` points out such terms, and
+`Consistent` refuses a stiffness that is not symmetric; where they are intended, check the
+eigenvalues.
 """
 
 from __future__ import annotations
@@ -37,14 +38,17 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 9
-MASS, STIFFNESS, DAMPING = 1.0, 100.0, 2.0  # kg, N/m, N s/m
-CRITICAL = DAMPING * np.sqrt(STIFFNESS / MASS)  # N/m
-_DISTURBANCE = 1e-6  # m
+# kg, N/m, N s/m.
+MASS, STIFFNESS, DAMPING = 1.0, 100.0, 2.0
+# Circulatory stiffness that the damper just stabilises, N/m.
+CRITICAL = DAMPING * np.sqrt(STIFFNESS / MASS)
+# Initial displacement, m.
+_DISTURBANCE = 1e-6
 _BISECTIONS = 50
 
 
 def whirling(g: Any, c: Any) -> Scene:
-    """The mass on its plane spring; g (N/m) and c (N s/m) are numbers or Params."""
+    """Return the mass on its plane spring; g (N/m) and c (N s/m) are numbers or Params."""
     stiffness = np.array(np.diag([STIFFNESS] * 3 + [0.0] * 3), object)
     stiffness[0, 1], stiffness[1, 0] = g, -g
     damping = np.array(np.zeros((6, 6)), object)
@@ -56,24 +60,25 @@ def whirling(g: Any, c: Any) -> Scene:
 
 
 def closed_form(g: float, c: float) -> float:
-    """Growth (1/s): the largest real part of the roots of m s^2 + c s + k + i g."""
+    """Return the growth (1/s): the largest real part of the roots of m s^2 + c s + k + i g."""
+    # x + i y turns the two equations with K = [[k, g], [-g, k]] into one with a complex stiffness.
     return float(np.roots([MASS, c, STIFFNESS + 1j * g]).real.max())
 
 
 def eigenvalue(model: Model, g: float, c: float) -> float:
-    """Growth (1/s) of the linearised model."""
+    """Return the growth (1/s) of the linearised model."""
     return float(spectrum_with(model, {"g": g, "c": c}).real.max())
 
 
 def measured(model: Model, g: float, c: float) -> float:
-    """Growth (1/s) of x + i y in a simulation of 4 s; whirls of both senses are in it."""
+    """Return the growth (1/s) of x + i y in a simulation of 4 s, with whirls of both senses."""
     times = np.linspace(0.0, 4.0, 101)
     run = simulate(model, times, ExplicitRK(1e-10, 1e-16), params={"g": g, "c": c})
     return growth_rate(times, run["mass.p_x"] + 1j * run["mass.p_y"])
 
 
 def study(full: bool) -> Tables:
-    """Growth over g with and without damper, over c, and the boundary between."""
+    """Measure growth over g with and without damper, over c, and the boundary between."""
     model = compile_scene(whirling(Param("g", CRITICAL, "N/m"), Param("c", DAMPING, "N s/m")))
     n = 41 if full else 9
     cases = [("no damper", g, 0.0) for g in np.linspace(0, 40, n)]
@@ -97,8 +102,9 @@ def study(full: bool) -> Tables:
 
 
 def _boundary(model: Model, c: float) -> float:
-    """The g (N/m) at which the eigenvalues of the linearised model begin to grow."""
+    """Return the g (N/m) at which the linearised model begins to grow, by bisection."""
     low, high = 0.0, 10 * c * np.sqrt(STIFFNESS / MASS)
+    # Fifty halvings leave 1e-15 of the bracket.
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         low, high = (low, middle) if eigenvalue(model, middle, c) > 0 else (middle, high)
@@ -106,15 +112,15 @@ def _boundary(model: Model, c: float) -> float:
 
 
 def draw(tables: Tables) -> Figure:
-    """Growth over g, growth over c, and the boundary in the plane of both."""
+    """Draw growth over g, growth over c, and the boundary in the plane of both."""
     figure, axes = panels((1.0, 1.0, 1.0))
     growth, boundary = tables["growth"], tables["boundary"]
-    looks = {
+    styles = {
         "no damper": (0, "g", COLOURS[1], "-"),
         "with damper": (0, "g", COLOURS[0], "-"),
         "negative damping": (1, "c", COLOURS[2], "-"),
     }
-    for case, (at, axis, colour, style) in looks.items():
+    for case, (at, axis, colour, style) in styles.items():
         mine = growth.column("case") == case
         x = growth.column(axis)[mine]
         values = {

@@ -1,4 +1,4 @@
-"""Jacobians by differences instead of exact ones: a stiff pendulum's slow frequency, and Newton."""
+"""Jacobians by differences: their effect on a slow frequency and on Newton's method."""
 
 from __future__ import annotations
 
@@ -24,19 +24,24 @@ from rbsd_sym import (
 )
 from rbsd_sym.study import Table
 
-GRAVITY, INERTIA = 9.81, 0.1  # m/s2, kg m2
-TILT = 0.5  # rad: of gravity against z, so that no symmetry hides the error of differences
-WAYS = ("exact", "forward", "central")
+# m/s2, kg m2.
+GRAVITY, INERTIA = 9.81, 0.1
+# Angle of gravity to z, rad, so that no symmetry hides the error of differences.
+TILT = 0.5
+KINDS = ("exact", "forward", "central")
 _EPSILON = float(np.finfo(float).eps)
-_MANY = 10_000_000  # steps
-_RATIO = 0.1  # of damping, so that Newton's method is what costs
+# Steps: practically no limit.
+_MANY = 10_000_000
+# Damping ratio; with the vibration damped, Newton's method dominates the cost.
+_RATIO = 0.1
 
 
 @cache
 def hanging() -> Model:
-    """1 kg on a joint 1 m away, swinging in a plane; `stiffness`, `damping` of the joint.
+    """Return a stiff pendulum: 1 kg, 1 m from its joint, in a plane; Params `stiffness`, `damping`.
 
-    Without what was left out: its eigenvalues are zero, which rounding in stiff joints hides.
+    The account of the reduction is removed: its eigenvalues are zero, which rounding in stiff
+    joints hides.
     """
     k, d = Param("stiffness", 1e6, "N/m"), Param("damping", 0.0, "N s/m")
     bob = RigidBody("bob", 1, [INERTIA] * 3, position=(0, 0, -1))
@@ -49,12 +54,12 @@ def hanging() -> Model:
 
 
 def slow_frequency(k: float) -> float:
-    """Lower frequency about the rest position (rad/s), of a joint with stiffness k (N/m).
+    """Return the lower frequency (rad/s) about the rest position, for a joint of stiffness k (N/m).
 
-    With the sideways coordinate x of the body and its angle a, the marker is at x - L a:
-    x'' = -k (x - L a), J a'' = k L (x - L a) - G L a; G = m g is the tension, m = 1 kg. The square
-    of the frequency is a root of J s^2 - (k (J + L^2) + G L) s + k G L = 0, here without the
-    difference of numbers of nearly one size.
+    With the lateral coordinate x of the body and its angle a, the marker is at x - L a: x'' = -k
+    (x - L a), J a'' = k L (x - L a) - G L a; G = m g is the tension, m = 1 kg. The square of the
+    frequency is a root of J s^2 - (k (J + L^2) + G L) s + k G L = 0, here in the form that avoids
+    the difference of numbers of nearly equal size.
     """
     b = k * (INERTIA + 1) + GRAVITY
     return math.sqrt(2 * k * GRAVITY / (b + math.sqrt(b * b - 4 * INERTIA * k * GRAVITY)))
@@ -66,18 +71,21 @@ def _rest(model: Model, k: float) -> np.ndarray:
     return np.array([at.get(label.name, 0.0) for label in model.x_labels])
 
 
-def _jacobian(way: str, rates: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
-    """By differences with the steps of the textbooks: eps^(1/2) or eps^(1/3), times max(1, |x|)."""
-    steps = _EPSILON ** (1 / 2 if way == "forward" else 1 / 3) * np.maximum(1, np.abs(x))
+def _jacobian(kind: str, rates: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+    """Return the Jacobian by differences with textbook steps.
+
+    They are eps^(1/2) forward, or eps^(1/3) central, times max(1, |x|).
+    """
+    steps = _EPSILON ** (1 / 2 if kind == "forward" else 1 / 3) * np.maximum(1, np.abs(x))
     columns = []
     for e in np.diag(steps):
-        back = x if way == "forward" else x - e
+        back = x if kind == "forward" else x - e
         columns.append((rates(x + e) - rates(back)) / (x + e - back).sum())
     return np.array(columns).T
 
 
 def digits(stiffnesses: np.ndarray) -> Table:
-    """Error of the slow frequency from eigenvalues of each Jacobian, and of its entries."""
+    """Return errors of the slow frequency from eigenvalues of each Jacobian, and of its entries."""
     model, rows = hanging(), []
     ode, exact = model.function("ode"), model.function("dode_dx")
     for k in stiffnesses:
@@ -88,11 +96,11 @@ def digits(stiffnesses: np.ndarray) -> Table:
             return np.array(ode(0, at, [], [], p)).reshape(-1)
 
         true, w = np.array(ca.DM(exact(0, x, [], [], p))), slow_frequency(float(k))
-        for way in WAYS:
-            J = true if way == "exact" else _jacobian(way, rates, x)
+        for kind in KINDS:
+            J = true if kind == "exact" else _jacobian(kind, rates, x)
             found = np.linalg.eigvals(J)
             away = float(np.abs(found - 1j * w).min()) / w
-            rows.append((way, float(k), float(np.abs(J - true).max()), away))
+            rows.append((kind, float(k), float(np.abs(J - true).max()), away))
     return Table(
         ("jacobian", "stiffness", "largest_error", "slow_frequency_error"),
         ("", "N/m", "", ""),
@@ -100,9 +108,9 @@ def digits(stiffnesses: np.ndarray) -> Table:
     )
 
 
-def _with_differences(model: Model, way: str) -> Model:
-    """The model with rates that CasADi differentiates by its own differences."""
-    if way == "exact":
+def _with_differences(model: Model, kind: str) -> Model:
+    """Return the model with rates that CasADi differentiates numerically."""
+    if kind == "exact":
         return model
     ode = model.function("ode")
     arguments = ode.mx_in()
@@ -111,23 +119,23 @@ def _with_differences(model: Model, way: str) -> Model:
         "enable_reverse": False,
         "enable_jacobian": False,
         "enable_fd": True,
-        "fd_method": way,
+        "fd_method": kind,
     }
     rates = ca.Function("ode", arguments, [ode(*arguments)], list("txzup"), ["ode"], options)
     return replace(model, library={"ode": rates})
 
 
 def newton(stiffnesses: np.ndarray) -> Table:
-    """Work of IDAS with each Jacobian on two seconds of swinging, the joint damped."""
+    """Return the work of IDAS with each Jacobian on two seconds of swinging, joint damped."""
     rows = []
-    for way in WAYS:
-        model = _with_differences(hanging(), way)
+    for kind in KINDS:
+        model = _with_differences(hanging(), kind)
         for k in stiffnesses:
             given = {"stiffness": float(k), "damping": 2 * _RATIO * math.sqrt(float(k))}
             method = Idas(1e-6, 1e-8, max_order=2, max_steps=_MANY)
             run = simulate(model, [0, 2.0], method, params=given, throw=False)
             counts = [run.stats[name] for name in ("steps", "newton_iterations", "jacobians")]
-            rows.append((way, float(k), *counts, run.outcome.name))
+            rows.append((kind, float(k), *counts, run.outcome.name))
     return Table(
         ("jacobian", "stiffness", "steps", "newton_iterations", "jacobians", "outcome"),
         ("", "N/m", "", "", "", ""),

@@ -1,4 +1,4 @@
-"""The energy of `Consistent` and its derivatives in decimal arithmetic, to judge others by."""
+"""Energy of `Consistent` and its derivatives in decimal arithmetic, as a reference for others."""
 
 from __future__ import annotations
 
@@ -7,19 +7,23 @@ from decimal import Decimal, localcontext
 from typing import NamedTuple
 
 _DIGITS = 90
-_STEP = Decimal(10) ** -14  # of central differences: they keep 28 digits of the third derivative
-_HALVINGS = 6  # of an angle, before a power series
+# Step of the central differences; with 90 digits they keep 28 of the third derivative.
+_STEP = Decimal(10) ** -14
+# Halvings of an angle before the power series.
+_HALVINGS = 6
 _TERMS = 40
 _Vector = list[Decimal]
 
 
 class Pose(NamedTuple):
-    """Two markers, the motion of both along a line, and the spring between them.
+    """Two markers, a motion of both along a line, and the spring between them.
 
     Fields:
-        p0, p1: (3,) m; q0, q1: quaternions (4,), scalar first.
-        direction: (12,) translation and turn of marker 0, then of marker 1, world axes.
-        stiffness: (6, 6); offset: (6,).
+        p0, p1: positions (3,), m.
+        q0, q1: quaternions (4,), scalar first.
+        direction: (12,) translation and rotation of marker 0, then of marker 1, world axes.
+        stiffness: (6, 6).
+        offset: (6,).
     """
 
     p0: Sequence[float]
@@ -32,10 +36,11 @@ class Pose(NamedTuple):
 
 
 def exact_orders(pose: Pose) -> tuple[float, ...]:
-    """U and its first three derivatives along the motion, right to the last digit."""
+    """Return U and its first three derivatives along the motion, correct to the last digit."""
     with localcontext() as context:
         context.prec = _DIGITS
         u = {k: _energy(pose, k * _STEP) for k in (-2, -1, 0, 1, 2)}
+        # Central differences; the first one of order 4, so that all keep enough digits.
         first = (8 * (u[1] - u[-1]) - (u[2] - u[-2])) / (12 * _STEP)
         second = (u[1] - 2 * u[0] + u[-1]) / _STEP**2
         third = (u[2] - 2 * u[1] + 2 * u[-1] - u[-2]) / (2 * _STEP**3)
@@ -84,7 +89,7 @@ def _product(a: _Vector, b: _Vector) -> _Vector:
 
 
 def _exp(th: _Vector) -> _Vector:
-    """Quaternion of a rotation vector, by the series of cos and sin(h) / h in h^2."""
+    """Return the quaternion of a rotation vector, by the series of cos(h) and sin(h) / h in h^2."""
     x = sum((v * v for v in th), Decimal(0)) / 4
     cosine = sinc = term = Decimal(1)
     for k in range(1, _TERMS):
@@ -95,10 +100,11 @@ def _exp(th: _Vector) -> _Vector:
 
 
 def _log(q: _Vector) -> _Vector:
-    """Rotation vector of an upper unit quaternion: 4 atan(t) / t of t = |v| / (1 + w)."""
+    """Return the rotation vector of a unit quaternion (w, v) with w >= 0, as in `quat_log`."""
     u = [v / (1 + q[0]) for v in q[1:]]
     y, factor = sum((v * v for v in u), Decimal(0)), Decimal(4)
-    for _ in range(_HALVINGS):  # atan(t) = 2 atan(t / (1 + sqrt(1 + t^2)))
+    # atan(t) = 2 atan(t / (1 + sqrt(1 + t^2))).
+    for _ in range(_HALVINGS):
         r = 1 + (1 + y).sqrt()
         y, factor = y / (r * r), 2 * factor / r
     ratio = sum(((-y) ** k / (2 * k + 1) for k in range(1, _TERMS)), Decimal(1))

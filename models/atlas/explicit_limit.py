@@ -1,12 +1,12 @@
 """Explicit methods on stiff connectors: where a step is too long.
 
 A mode of frequency w that is not resolved grows with every explicit step, however slow the motion
-asked for. `RK4` does so from h w = 2.828 on without damping, at every stiffness; damping beyond
-critical makes it worse, since the limit falls as 1 over the damping ratio. The pair of order 5(4)
-of `ExplicitRK`, its steps fixed here, gains amplitude without damping from h w = 0.729 on: 9 % in
-1000 steps at 1, a factor of 184 at 1.6; its error control has to notice. Two percent of damping put
-its limit at 2.1. Remedy: steps below the limit of the stiffest connector, or an implicit method
-(`Rosenbrock`, `Idas`, `GeneralizedAlpha`).
+of interest is. `RK4` amplifies it from h w = 2.828 on without damping, at every stiffness; damping
+above critical makes it worse, since the limit falls as 1 over the damping ratio. The pair of order
+5(4) of `ExplicitRK`, here with fixed steps, amplifies an undamped mode from h w = 0.729 on: by 9 %
+in 1000 steps at 1, by a factor of 184 at 1.6; its error control has to detect that. Two percent of
+damping raise its limit to 2.1. Remedy: steps below the limit of the stiffest connector, or an
+implicit method (`Rosenbrock`, `Idas`, `GeneralizedAlpha`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from rbsd_sym import RK4, ExplicitRK
 from rbsd_sym.study import Table
 
-from .oscillators import amplitude, factor, legend_below, look, swing
+from .oscillators import amplitude, factor, legend_below, style_of, swing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,17 +28,21 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 5
-_STEPS = 300  # to the first look; the second is as many on
-_ROUNDING = 1e-9  # of a step, by which it may be longer, so that a whole number of them fits
-_RUN = 1000  # steps, over which the chart shows the growth
+# Steps before the first measurement of the amplitude, and again before the second.
+_STEPS = 300
+# Relative excess of a step, so that a whole number of them fits into an interval.
+_ROUNDING = 1e-9
+# Steps over which the chart shows the growth.
+_RUN = 1000
 _RATIOS = (0.0, 0.1, 0.5, 2.0)
 _MORE_RATIOS = (0.02, 0.05, 0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9, 0.95)
-_STIFF = 1e6  # N/m, at which the boundary is measured at more damping ratios
+# Stiffness (N/m) at which the boundary is measured for more damping ratios.
+_STIFF = 1e6
 _METHODS = ("RK4", "ExplicitRK")
 
 
 def study(full: bool) -> dict[str, Table]:
-    """Measured and predicted limits of h w over stiffness and damping; growth without damping."""
+    """Measure and predict limits of h w over stiffness and damping, and growth without damping."""
     coefficients = {method: _polynomial(method) for method in _METHODS}
     points = [(float(k), ratio) for ratio in _RATIOS for k in np.logspace(2, 12, 11 if full else 3)]
     points += [(_STIFF, ratio) for ratio in (_MORE_RATIOS if full else _MORE_RATIOS[::3])]
@@ -75,26 +79,34 @@ def _fixed(method: str, h: float) -> Any:
 
 
 def _polynomial(method: str) -> tuple[float, ...]:
-    """Coefficients of what a step multiplies by, up to z^6; the last is read from one step.
+    """Return the coefficients, up to z^6, of the factor by which a step multiplies a mode.
 
-    RK4 has order 4 and as many stages; the pair has order 5 and six stages that count.
+    Those up to the order are known; the last one of the pair, which has order 5 and six effective
+    stages, is measured in one step.
     """
     order = {"RK4": 4, "ExplicitRK": 5}[method]
     known = [1 / math.factorial(i) for i in range(order + 1)]
     if method == "ExplicitRK":
+        # One step with z = i multiplies by the sum of c_k i^k; subtracting the known terms leaves
+        # the last.
         rest = factor(_fixed(method, 1.0), 1.0) - sum(c * 1j**i for i, c in enumerate(known))
         known.append((rest / 1j**6).real)
     return (*known, *[0.0] * (7 - len(known)))
 
 
 def _eigenvalue(ratio: float) -> complex:
-    """Of x'' + 2 ratio x' + x = 0, the faster one."""
+    """Return the eigenvalue of x'' + 2 ratio x' + x = 0, the faster one if both are real."""
     root = math.sqrt(abs(1 - ratio**2))
     return complex(-ratio, root) if ratio < 1 else complex(-ratio - root)
 
 
 def limit(coefficients: Sequence[float], ratio: float) -> float:
-    """The h w from which a step multiplies a mode of this damping ratio by more than 1."""
+    """Return the h w from which on a step multiplies a mode of given damping ratio by more than 1.
+
+    Arguments:
+        coefficients: of the stability polynomial, lowest power first.
+        ratio: damping ratio.
+    """
     eigenvalue = _eigenvalue(ratio)
 
     def grows(h: float) -> bool:
@@ -108,17 +120,19 @@ def limit(coefficients: Sequence[float], ratio: float) -> float:
 
 def _bisect(grows: Any, low: float, high: float, width: float) -> float:
     while high / low > 1 + width:
+        # Geometric mean: the width of the bracket is relative.
         middle = math.sqrt(low * high)
         low, high = (low, middle) if grows(middle) else (middle, high)
     return math.sqrt(low * high)
 
 
 def _measured(method: str, k: float, ratio: float) -> float:
-    """The h w from which the amplitude of a simulation grows."""
+    """Return the h w from which on the amplitude of a simulation grows, by bisection."""
     w = math.sqrt(k)
 
     def grows(h_w: float) -> bool:
         h = h_w / w
+        # Starting transients are over after the first measurement.
         times = h * np.array([0, _STEPS, 2 * _STEPS])
         run = swing(_fixed(method, h), times, k, 2 * ratio * w)
         size = amplitude(run, k)
@@ -128,7 +142,7 @@ def _measured(method: str, k: float, ratio: float) -> float:
 
 
 def draw(tables: Tables) -> Figure:
-    """The stability regions with what was measured; the limits over stiffness; the growth."""
+    """Draw the stability regions with measurements, the limits over stiffness, and the growth."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.5, 4.6), layout="constrained")
@@ -139,7 +153,7 @@ def draw(tables: Tables) -> Figure:
         table = tables["undamped"]
         mine = table.column("method") == method
         gain = np.exp(np.clip(_RUN * np.log(table.column("factor_per_step")[mine]), -20, 20))
-        growth.plot(table.column("h_w")[mine], gain, **look(method, ms=3), label=method)
+        growth.plot(table.column("h_w")[mine], gain, **style_of(method, ms=3), label=method)
     growth.axhline(1, color="0.4", lw=0.8)
     growth.set(
         xlabel="step × frequency, h w",
@@ -158,7 +172,7 @@ def _draw_regions(panel: Any, tables: Tables) -> None:
     re, im = np.meshgrid(np.linspace(-4.0, 0.4, 400), np.linspace(0, 4.2, 320))
     polynomials, points = tables["polynomial"], tables["boundary"]
     for method, *coefficients in polynomials.rows:
-        own = look(str(method), ls="")
+        own = style_of(str(method), ls="")
         size = np.abs(np.polyval([float(c) for c in coefficients[::-1]], re + 1j * im))  # type: ignore[arg-type]
         panel.contour(re, im, size, levels=[1.0], colors=[own["color"]], linewidths=1.2)
         mine = (points.column("method") == method) & (points.column("stiffness") == _STIFF)
@@ -189,7 +203,9 @@ def _draw_limits(panel: Any, table: Table) -> None:
             mine = (table.column("method") == method) & (table.column("damping_ratio") == ratio)
             k = table.column("stiffness")[mine]
             h = table.column("measured_h_w")[mine]
-            panel.plot(k, h, **look(method, ls=style, ms=3), label=f"{method}, damping {ratio:g}")
+            panel.plot(
+                k, h, **style_of(method, ls=style, ms=3), label=f"{method}, damping {ratio:g}"
+            )
     panel.set(
         xscale="log",
         xlabel="stiffness [N/m]",

@@ -1,11 +1,11 @@
 """A damper that feeds energy.
 
-Two bodies 1 m apart turn together, like one rigid body, about their common centre at 2 rad/s; a
-translational damper (100 N s/m, no spring) joins them. Nothing between them changes, so a damper
-has nothing to do. `Intrinsic` sees the difference of two velocities in the middle frame, brakes it,
-and adds torques for the moment of its force that do more work than the force takes: energy rises
-from 1.2 J to 1.345 J in 1 ms. `Standard` does not feed; it brakes the turning itself, and loses
-angular momentum. Remedy: `law=Consistent()`, whose damper feels the rate of the strain.
+Two bodies 1 m apart rotate together, like one rigid body, about their common centre at 2 rad/s; a
+translational damper (100 N s/m, no spring) joins them. Their relative pose does not change, so a
+damper should do nothing. `Intrinsic` opposes the difference of two velocities in the middle frame,
+and adds torques for the moment of its force that do more work than the force dissipates: energy
+rises from 1.2 J to 1.345 J in 1 ms. `Standard` does not feed energy; it brakes the rotation itself,
+and loses angular momentum. Remedy: `law=Consistent()`, whose damper acts on the rate of the strain.
 """
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 3
-MASS, INERTIA, DAMPING, SPIN, ARM = 1.0, 0.05, 100.0, 2.0, 0.05  # kg, kg m2, N s/m, rad/s, m
+# kg, kg m2, N s/m, rad/s, m.
+MASS, INERTIA, DAMPING, SPIN, ARM = 1.0, 0.05, 100.0, 2.0, 0.05
 _TIMES = np.linspace(0.0, 0.02, 101)
 
 
 def turning_pair(law: Any) -> Scene:
-    """The two bodies; the damper's ends are 0.05 m from their centres."""
+    """Return the two bodies; the ends of the damper are 0.05 m from their centres."""
     bodies = [
         RigidBody(
             name,
@@ -62,10 +63,11 @@ def turning_pair(law: Any) -> Scene:
 
 
 def closed_form(t: np.ndarray) -> np.ndarray:
-    """Energy with `Intrinsic` (J), as long as the damper turns little against the frames.
+    """Return the energy with `Intrinsic` (J), while the damper rotates little against the frames.
 
-    Slip u between the ends, spin w: m u'/2 and I w' follow from the force D u, so u decays at the
-    rate a = D (2/m + b/I), b the arm, and E = E0 + (D S)^2 (1/m + 1/(4 I)), S the integral of u.
+    With the slip u between the ends and the spin w, m u'/2 and I w' follow from the force D u. So u
+    decays at the rate a = D (2/m + b/I), b the arm, and E = E0 + (D S)^2 (1/m + 1/(4 I)), S the
+    integral of u.
     """
     rate = DAMPING * (2 / MASS + ARM / INERTIA)
     slipped = SPIN * (1 - 2 * ARM) * -np.expm1(-rate * t) / rate
@@ -74,8 +76,9 @@ def closed_form(t: np.ndarray) -> np.ndarray:
 
 
 def study(full: bool) -> Tables:
-    """Energy and angular momentum over 20 ms."""
-    del full  # seconds either way
+    """Measure energy and angular momentum over 20 ms."""
+    # The study takes seconds in either case.
+    del full
     energy, moment = {}, {}
     for name, law in LAWS.items():
         model = compile_scene(turning_pair(law), minimal=False)
@@ -88,7 +91,7 @@ def study(full: bool) -> Tables:
 
 
 def draw(tables: Tables) -> Figure:
-    """Energy and angular momentum over time."""
+    """Draw energy and angular momentum over time."""
     figure, axes = panels()
     motion = tables["motion"]
     t = 1e3 * motion.column("t")

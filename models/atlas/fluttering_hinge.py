@@ -1,12 +1,12 @@
 """The hinge that flutters.
 
-A body of 2 kg on a stiff hinge whose free axis is the local x, with damping, swings under gravity.
-With `Standard` the stiff torques about y and z turn into each other once the hinge has turned,
-since they act along the axes of one side; two modes meet and one of them grows, at hundreds per
-second: past 0.6 rad, energy rises from a few joules to more than 1e4 J. The eigenvalues of the
-linearised model tell it for every angle (for a body hinged at its centre, without damping: none at
-10 degrees, 217/s at 30, 612/s at 60). The build warns of such a hinge. Remedy: turn the joint frame
-so that its z is the hinge axis, or `law=Consistent()`.
+A body of 2 kg on a stiff, damped hinge, whose free axis is the local x, swings under gravity. With
+`Standard` the stiff torques about y and z couple once the hinge has turned, since they act along
+the axes of one side; two modes merge and one of them grows, at hundreds of 1/s: beyond 0.6 rad,
+energy rises from a few joules to more than 1e4 J. The eigenvalues of the linearised model predict
+it for every angle (for a body hinged at its centre, without damping: no growth at 10 degrees, 217/s
+at 30, 612/s at 60). `compile_scene` warns of such a hinge. Remedy: rotate the joint frame so that
+its z is the hinge axis, or `law=Consistent()`.
 """
 
 from __future__ import annotations
@@ -49,16 +49,29 @@ if TYPE_CHECKING:
 
 NUMBER = 2
 STIFFNESS = 1e3 * np.array([4000.0, 5000.0, 7000.0, 0.0, 500.0, 325.0])
-INERTIA = np.array([0.1, 0.2, 0.3])  # kg m2
-ARM = np.array([0.1, -0.2, 0.05])  # m
-SPIN = np.array([1.0, -2.0, 1.5])  # rad/s
-DAMPING = 1e-4  # s, of the stiffness
-_GROWTHS = 14.0  # e-folds in which growth is measured
-_DISTURBANCE = 1e-9  # rad/s
+# Principal inertias, kg m2.
+INERTIA = np.array([0.1, 0.2, 0.3])
+# Hinge relative to the centre of mass, m.
+ARM = np.array([0.1, -0.2, 0.05])
+# Initial angular velocity, rad/s.
+SPIN = np.array([1.0, -2.0, 1.5])
+# Damping over stiffness, s.
+DAMPING = 1e-4
+# Number of e-foldings over which growth is measured.
+_GROWTHS = 14.0
+# Initial spin that is to grow, rad/s.
+_DISTURBANCE = 1e-9
 
 
 def hinged(law: Any, damping: float = DAMPING, arm: Any = ARM, spin: Any = SPIN) -> Scene:
-    """The body with its hinge at rest in the origin; it swings only if it spins."""
+    """Return the body with its hinge at rest in the origin; gravity acts only if the body spins.
+
+    Arguments:
+        law: law of the hinge.
+        damping: damping over stiffness, s.
+        arm: hinge in body axes, m.
+        spin: initial angular velocity, rad/s.
+    """
     swinging = np.any(spin)
     body = RigidBody(
         "body",
@@ -76,20 +89,21 @@ def hinged(law: Any, damping: float = DAMPING, arm: Any = ARM, spin: Any = SPIN)
 
 
 def closed_form(degrees: np.ndarray) -> np.ndarray:
-    """Growth (1/s) of the undamped `Standard` hinge through the body's centre.
+    """Return the growth (1/s) of the undamped `Standard` hinge through the body's centre.
 
-    Small turns b, c about y and z beside the angle a about x:
-    Iy b'' = -ky cos(a) b - kz sin(a) c, Iz c'' = ky sin(a) b - kz cos(a) c.
+    Small rotations b, c about y and z beside the angle a about x obey Iy b'' = -ky cos(a) b - kz
+    sin(a) c, Iz c'' = ky sin(a) b - kz cos(a) c.
     """
     (ky, kz), (Iy, Iz) = STIFFNESS[4:], INERTIA[1:]
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     A = np.array([[ky * c / Iy, kz * s / Iy], [-ky * s / Iz, kz * c / Iz]]).transpose(2, 0, 1)
+    # Growth is the real part of the root of s^2, an eigenvalue of -A.
     squared = -np.linalg.eigvals(A).astype(complex)
     return np.abs(np.sqrt(squared).real).max(axis=1)
 
 
 def posed(model: Model, degrees: float, arm: Any) -> np.ndarray:
-    """The state in which the hinge has turned, at rest and unloaded."""
+    """Return the state in which the hinge has turned by `degrees`, at rest and unloaded."""
     half = np.deg2rad(degrees) / 2
     p = -turn_x(2 * half) @ arm
     return state(
@@ -102,7 +116,8 @@ def posed(model: Model, degrees: float, arm: Any) -> np.ndarray:
     )
 
 
-_CASES: dict[str, tuple[str, float, Any]] = {  # law, damping, arm
+# Law, damping, arm.
+_CASES: dict[str, tuple[str, float, Any]] = {
     "centre": ("Standard", 0.0, np.zeros(3)),
     "undamped": ("Standard", 0.0, ARM),
     "damped": ("Standard", DAMPING, ARM),
@@ -111,7 +126,7 @@ _CASES: dict[str, tuple[str, float, Any]] = {  # law, damping, arm
 
 
 def study(full: bool) -> Tables:
-    """Growth over the hinge's angle, growth measured in simulations, and the swing itself."""
+    """Measure growth over the angle of the hinge, growth in simulations, and the swing itself."""
     angles = np.linspace(-90.0, 90.0, 73 if full else 25)
     rates: dict[str, list[float]] = {}
     measured: list[tuple[Any, ...]] = []
@@ -137,14 +152,15 @@ def study(full: bool) -> Tables:
 
 
 def _measured(model: Model, angle: float, arm: Any) -> tuple[float, float]:
-    """Largest real part, and the growth of a tiny spin about y in a simulation (1/s)."""
+    """Return the largest real part, and the growth (1/s) of a tiny spin about y in a simulation."""
     x = posed(model, angle, arm)
     rate = float(spectrum(model, x).real.max())
     start = dict(zip((label.name for label in model.x_labels), x, strict=True))
     start["body.w_y"] = _DISTURBANCE
     times = np.linspace(0.0, _GROWTHS / rate, 1201)
     run = simulate(model, times, ExplicitRK(1e-9, 1e-16), start=start)
-    late = slice(300, None)  # until the growing mode leads
+    # Measured once the growing mode dominates the others.
+    late = slice(300, None)
     return rate, growth_rate(times[late], run["body.w_y"][late])
 
 
@@ -162,7 +178,7 @@ def _swing(t_end: float) -> Table:
 
 
 def draw(tables: Tables) -> Figure:
-    """Growth over the angle, then angle and energy of the swing."""
+    """Draw growth over the angle, then angle and energy of the swing."""
     figure, axes = panels((1.2, 1.0, 1.0))
     rates, growth, swing = (tables[name] for name in ("eigenvalues", "growth", "swing"))
     angle = rates.column("angle")

@@ -1,11 +1,11 @@
 """Buckling that the minimal model hides.
 
-An upright bar stands on a hinge that resists tilting by a spring k. Nothing disturbs it, so no tilt
-ever is part of its motion: the minimal model keeps the height alone, two states, and stands for any
-k. Below k = m g l the bar buckles. The full model at rest stands as well; only a disturbance brings
-it down, at the rate sqrt((m g l - k) / (I + m l^2)). `simulate` checks the motion that was left out
-along the way, warns, and says `Outcome.unstable_across_reduction` with the same rate. Remedy:
-`compile_scene(minimal=False)` and a disturbed start, or a stiffer hinge.
+An upright bar stands on a hinge that resists tilting by a spring k. Nothing disturbs it, so its
+motion contains no tilt: the minimal model keeps only the height, two states, and stays upright for
+any k. Below k = m g l the bar buckles. The full model stays upright as well if it starts at rest;
+only a disturbance makes it fall, at the rate sqrt((m g l - k) / (I + m l^2)). `simulate` checks the
+motion that was left out along the run, warns, and returns `Outcome.unstable_across_reduction` with
+the same rate. Remedy: `compile_scene(minimal=False)` and a disturbed start, or a stiffer hinge.
 """
 
 from __future__ import annotations
@@ -38,16 +38,21 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 10
-MASS, LENGTH, INERTIA, GRAVITY, SUPPORT = 1.0, 0.5, 0.08, 9.81, 1e6  # SI; length to the centre
-_SUPPORT_DAMPING = 1e3  # N s/m: the support's own vibration dies out
-CRITICAL = MASS * GRAVITY * LENGTH  # N m/rad
+# kg, m from the hinge to the centre, kg m2, m/s2, N/m.
+MASS, LENGTH, INERTIA, GRAVITY, SUPPORT = 1.0, 0.5, 0.08, 9.81, 1e6
+# N s/m; it makes the support's own vibration decay.
+_SUPPORT_DAMPING = 1e3
+# Stiffness at which the bar buckles, N m/rad.
+CRITICAL = MASS * GRAVITY * LENGTH
+# Height of the centre, with the support compressed by the weight.
 _AT_REST = LENGTH - MASS * GRAVITY / SUPPORT
-_PUSH = {"bar.w_y": 1e-6, "bar.v_x": 1e-6 * LENGTH}  # rad/s and m/s: a turn about the hinge
+# A small rotation about the hinge, rad/s and m/s.
+_PUSH = {"bar.w_y": 1e-6, "bar.v_x": 1e-6 * LENGTH}
 _METHOD = Rosenbrock(1e-8, 1e-13)
 
 
 def column(k: Any) -> Scene:
-    """The bar on its hinge of tilting stiffness k (N m/rad, a number or a Param)."""
+    """Return the bar on its hinge of tilting stiffness k (N m/rad, a number or a Param)."""
     bar = RigidBody("bar", MASS, (INERTIA, INERTIA, 0.01), position=(0, 0, LENGTH))
     hinge = RigidBodySpringDamper(
         "hinge",
@@ -61,12 +66,12 @@ def column(k: Any) -> Scene:
 
 
 def closed_form(k: np.ndarray) -> np.ndarray:
-    """Growth of the tilt (1/s), 0 where the bar stands; the hinge does not give."""
+    """Return the growth of the tilt (1/s) on a rigid support, 0 where the bar stays upright."""
     return np.sqrt(np.maximum(CRITICAL - k, 0) / (INERTIA + MASS * LENGTH**2))
 
 
 def study(full: bool) -> Tables:
-    """Growth over k by the check, by the full model, and by the closed form; and one fall."""
+    """Measure growth over k by the check, the full model and the closed form; and one fall."""
     k = Param("k", 1.0, "N m/rad")
     small, whole = compile_scene(column(k)), compile_scene(column(k), minimal=False)
     rows = [_row(small, whole, float(value)) for value in np.linspace(0.5, 8.0, 31 if full else 7)]
@@ -76,7 +81,7 @@ def study(full: bool) -> Tables:
 
 
 def _row(small: Model, whole: Model, k: float) -> tuple[Any, ...]:
-    """What the minimal model's check says, growth in the full model, and tilt without a push."""
+    """Return what the minimal model's check finds, growth in the full model, tilt without push."""
     start = {"bar.p_z": _AT_REST}
     with known_trouble():
         run = simulate(small, np.linspace(0.0, 4.0, 101), _METHOD, params={"k": k}, start=start)
@@ -90,7 +95,7 @@ def _row(small: Model, whole: Model, k: float) -> tuple[Any, ...]:
 
 
 def _fall(small: Model, whole: Model) -> Table:
-    """Tilt at k = 1 N m/rad: the minimal model, the full one at rest, and pushed."""
+    """Return tilts at k = 1 N m/rad: minimal model, full model at rest, and pushed."""
     times, start = np.linspace(0.0, 8.0, 201), {"bar.p_z": _AT_REST}
     pushed = start | _PUSH
     with known_trouble():
@@ -104,7 +109,7 @@ def _fall(small: Model, whole: Model) -> Table:
 
 
 def draw(tables: Tables) -> Figure:
-    """Growth over the spring, and the tilt over time."""
+    """Draw growth over the spring, and the tilt over time."""
     figure, axes = panels()
     growth, fall = tables["growth"], tables["fall"]
     k = np.linspace(0.0, float(growth.column("k").max()), 400)

@@ -1,13 +1,13 @@
 """Implicit methods: what they do to a mode that should ring.
 
-An undamped mode of frequency w loses amplitude and phase with every implicit step of length h.
-Generalized-alpha below spectral radius 1, Radau and BDF of order 2 damp it, BDF of order 5 feeds it
-between h w = 0.71 and 9.4; the trapezoidal rule and Legendre collocation keep its amplitude at
-every step length, and only its phase is wrong. `Idas` damps it as its tolerance lets it: over 100
-periods by 0.9 % at rtol 1e-3, 1e-4 of it at 1e-6, 5e-7 at the default of 1e-8; with tolerances
-handed on to IDAS as they are (`safety` of 1.4 for these two states) by 17 %, 1e-4 and 7e-6. Remedy:
-Legendre collocation or spectral radius 1 where a mode must ring; where it must not, Radau or 0.5;
-and with `Idas` the tolerance that the chart shows.
+An undamped mode of frequency w changes in amplitude and phase with every implicit step of length h.
+Generalized-alpha below spectral radius 1, Radau and BDF of order 2 damp it, BDF of order 5
+amplifies it between h w = 0.71 and 9.4; the trapezoidal rule and Legendre collocation keep its
+amplitude at every step length, and only its phase is wrong. `Idas` damps it according to its
+tolerance: over 100 periods by 0.9 % at rtol 1e-3, 1e-4 of it at 1e-6, 5e-7 at the default of 1e-8;
+if IDAS receives the tolerances unchanged (`safety` of 1.4 for these two states), by 17 %, 1e-4 and
+7e-6. Remedy: Legendre collocation or spectral radius 1 where a mode must ring; Radau or radius 0.5
+where it must not; and with `Idas` the tolerance that the chart shows.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from rbsd_sym import Collocation, Dop853, ExplicitRK, GeneralizedAlpha, Idas, Rosenbrock
 from rbsd_sym.study import Table
 
-from .oscillators import amplitude, factor, legend_below, look, oscillator, swing
+from .oscillators import amplitude, factor, legend_below, oscillator, style_of, swing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,34 +30,35 @@ if TYPE_CHECKING:
 NUMBER = 6
 _RADII = (1.0, 0.9, 0.5, 0.0)
 _BDF = (2, 5)
-_FINEST = 1e-7  # rtol, below which order 2 takes a million steps
+# Tolerance below which order 2 takes a million steps.
+_FINEST = 1e-7
 _LINES = ("-", "--", "-.", ":")
 _FORMULAS: dict[str, dict[str, Any]] = {
     **{
-        f"generalized-alpha, radius {rho:g}" + (" (trapezoidal)" if rho == 1 else ""): look(
+        f"generalized-alpha, radius {rho:g}" + (" (trapezoidal)" if rho == 1 else ""): style_of(
             "GeneralizedAlpha", ls=line, marker=""
         )
         for rho, line in zip(_RADII, _LINES, strict=True)
     },
-    "Radau, order 5": look("Collocation", ls="-", marker=""),
-    "Legendre, order 6": look("Collocation", ls="--", marker=""),
+    "Radau, order 5": style_of("Collocation", ls="-", marker=""),
+    "Legendre, order 6": style_of("Collocation", ls="--", marker=""),
     **{
-        f"BDF, order {order}": look("Idas", ls=line, marker="")
+        f"BDF, order {order}": style_of("Idas", ls=line, marker="")
         for order, line in zip(_BDF, _LINES, strict=False)
     },
 }
 _ADAPTIVE: dict[str, dict[str, Any]] = {
-    "Idas, order up to 5": look("Idas", ls="--"),
-    "Idas, order up to 2": look("Idas", ls="-"),
-    "Idas, order up to 5, safety 1.4": look("Idas", ls=":"),
-    "Rosenbrock": look("Rosenbrock"),
-    "ExplicitRK": look("ExplicitRK"),
-    "Dop853": look("Dop853"),
+    "Idas, order up to 5": style_of("Idas", ls="--"),
+    "Idas, order up to 2": style_of("Idas", ls="-"),
+    "Idas, order up to 5, safety 1.4": style_of("Idas", ls=":"),
+    "Rosenbrock": style_of("Rosenbrock"),
+    "ExplicitRK": style_of("ExplicitRK"),
+    "Dop853": style_of("Dop853"),
 }
 
 
 def study(full: bool) -> dict[str, Table]:
-    """Factor of one step over h w, and amplitude after many periods over tolerance."""
+    """Measure the factor of one step over h w, and amplitude after many periods over tolerance."""
     rows = []
     for h in np.logspace(-2, 3, 26 if full else 11):
         for name, roots in _roots(float(h)).items():
@@ -98,16 +99,16 @@ def _adaptive(rtol: float) -> dict[str, Any]:
 
 
 def _roots(h: float) -> dict[str, np.ndarray]:
-    """Factors by which one step of each method multiplies an oscillation of 1 rad/s."""
+    """Return the factors by which one step of each method multiplies an oscillation of 1 rad/s."""
     alphas = [_alpha_roots(rho, h) for rho in _RADII]
     schemes = [np.array([factor(Collocation(h, 3, s), h)]) for s in ("radau", "legendre")]
     return dict(zip(_FORMULAS, [*alphas, *schemes, *(bdf_roots(k, h) for k in _BDF)], strict=True))
 
 
 def _alpha_roots(rho: float, h: float) -> np.ndarray:
-    """Of the matrix of one step on position, velocity and the method's own acceleration.
+    """Return the eigenvalues of one step on position, velocity and the method's acceleration.
 
-    In units of order 1: h v and h^2 a are as large as the position times max(h, 1)^2.
+    The three are scaled to order 1: h v and h^2 a are as large as the position times max(h, 1)^2.
     """
     model = oscillator()
     step, columns = GeneralizedAlpha(h, rho).step_function(model), []
@@ -120,8 +121,17 @@ def _alpha_roots(rho: float, h: float) -> np.ndarray:
 
 
 def bdf_roots(order: int, h: float) -> np.ndarray:
-    """Roots r of sum over j = 1 ... order of (1 - 1/r)^j / j = i h [Hairer, Wanner 1996, V.1]."""
-    polynomial = np.zeros(order + 1, complex)  # in 1/r, lowest power first
+    """Return the roots r of sum over j = 1 ... order of (1 - 1/r)^j / j = i h.
+
+    They are the factors by which BDF multiplies an oscillation in one step [Hairer, Wanner 1996,
+    V.1].
+
+    Arguments:
+        order: 1 ... 5.
+        h: step times frequency.
+    """
+    # Coefficients in 1/r, lowest power first.
+    polynomial = np.zeros(order + 1, complex)
     power = np.array([1.0])
     for j in range(1, order + 1):
         power = np.convolve(power, [1.0, -1.0])
@@ -131,7 +141,7 @@ def bdf_roots(order: int, h: float) -> np.ndarray:
 
 
 def draw(tables: Tables) -> Figure:
-    """Amplitude and phase of one step; amplitude after many periods over tolerance and steps."""
+    """Draw amplitude and phase of one step, and amplitude after many periods."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.5, 8.6), layout="constrained")

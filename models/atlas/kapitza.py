@@ -1,14 +1,14 @@
 """Kapitza's pendulum: what stands only because it shakes.
 
-An upright body on a free hinge topples. Shaken up and down fast enough it stands, and shaken too
-far it falls again, by a parametric resonance. Eigenvalues at rest see none of this: they tell of
-the same fall, 3.81 1/s, at every point of the map. Nor does the motion itself: the smallest model
-has no tilt at all, and its own multipliers decay everywhere. The multipliers of the tilt that the
-model left out, over one period of the drive, give the map (`study.stability_map` with a period).
-The boundary agrees with that of the damped Mathieu equation to 0.1 %, the give of the hinge; the
-common formula, amplitude times circular frequency = sqrt(2 g l) with the reduced length l, is drawn
-beside it. Simulations of the full model from a small tilt, to the right, bear it out. Remedy: judge
-a driven motion by its multipliers, not by eigenvalues.
+An upright body on a free hinge falls over. Shaken up and down fast enough it stays upright, and
+shaken too far it falls again, by a parametric resonance. Eigenvalues at rest show none of this:
+they give the same fall, 3.81 1/s, at every point of the map. Nor does the motion itself: the
+smallest model has no tilt at all, and its own multipliers decay everywhere. The multipliers of the
+tilt that the model left out, over one period of the drive, give the map (`study.stability_map` with
+a period). The boundary agrees with that of the damped Mathieu equation to 0.1 %, the compliance of
+the hinge; the common formula, amplitude times circular frequency = sqrt(2 g l) with the reduced
+length l, is drawn beside it. Simulations of the full model from a small tilt, on the right, confirm
+it. Remedy: judge a driven motion by its multipliers, not by eigenvalues.
 """
 
 from __future__ import annotations
@@ -35,26 +35,37 @@ if TYPE_CHECKING:
 
 NUMBER = 13
 scene = model_file("kapitza").scene
-LENGTH, INERTIA, GRAVITY, DAMPING = 0.5, 1 / 12 + 0.25, 9.81, 0.02  # m, kg m2 about the hinge, ...
-REDUCED = INERTIA / LENGTH  # m, of the simple pendulum of the same frequency, for 1 kg
-_TILT = 1e-3  # rad, at the start of a simulation
-_SPAN = 3.0  # s
+# m, kg m2 about the hinge, m/s2, N m s/rad.
+LENGTH, INERTIA, GRAVITY, DAMPING = 0.5, 1 / 12 + 0.25, 9.81, 0.02
+# Length of the simple pendulum with the same frequency, for 1 kg, m.
+REDUCED = INERTIA / LENGTH
+# Tilt at the start of a simulation, rad.
+_TILT = 1e-3
+# Length of a simulation, s.
+_SPAN = 3.0
 _RUNS = ((20.0, 0.02, "too little"), (20.0, 0.1, "enough"), (20.0, 0.35, "too far"))
 _HARMONICS = 12
 
 
 def theory(frequency: float) -> tuple[float, float]:
-    """Amplitudes (m) between which the body stands on a rigid hinge, by Hill's determinants.
+    """Return the amplitudes (m) between which the body stays upright on a rigid hinge.
 
     J f'' + c f' + (-m g l + m l a w^2 sin(w t)) f = 0 for the tilt f. At the lower boundary it has
-    a solution of the drive's period, at the upper one of twice that. Their Fourier coefficients
-    obey (D + a B) x = 0 [McLachlan 1947, sec. 6.20].
+    a solution with the period of the drive, at the upper one with twice that period. Their Fourier
+    coefficients obey (D + a B) x = 0 (Hill's determinants [McLachlan 1947, sec. 6.20]).
+
+    Arguments:
+        frequency: of the drive, Hz.
     """
     w, bounds = 2 * math.pi * frequency, []
+    # Harmonics n w for the period of the drive, (n + 1/2) w for twice the period.
     for shift in (0.0, 0.5):
         n = np.arange(-_HARMONICS, _HARMONICS + (shift == 0)) + shift
+        # sin(w t) couples neighbouring harmonics with 1 / 2i.
         D = np.diag(-INERTIA * (n * w) ** 2 + 1j * n * w * DAMPING - GRAVITY * LENGTH)
         B = LENGTH * w * w / 2j * (np.eye(len(n), k=-1) - np.eye(len(n), k=1))
+        # 1 / a is an eigenvalue of -D^-1 B, also where B is singular; the largest real one belongs
+        # to the smallest amplitude.
         inverse = np.linalg.eigvals(-np.linalg.solve(D, B))
         real = inverse[np.abs(inverse.imag) < 1e-9 * np.abs(inverse).max()].real
         bounds.append(1 / float(real.max()))
@@ -62,7 +73,7 @@ def theory(frequency: float) -> tuple[float, float]:
 
 
 def study(full: bool) -> dict[str, Table]:
-    """The map; its boundary against theory; simulations at three points."""
+    """Measure the map, its boundary against theory, and simulations at three points."""
     model = compile_scene(scene())
     frequencies = np.linspace(4, 30, 24) if full else np.linspace(6, 30, 4)
     amplitudes = np.linspace(0.01, 0.4, 22) if full else np.linspace(0.02, 0.4, 4)
@@ -91,7 +102,7 @@ def _theory(frequencies: np.ndarray) -> Table:
 
 
 def _boundary(model: Model, frequencies: tuple[float, ...]) -> Table:
-    """The boundary by bisection of the multipliers, and by theory."""
+    """Return the boundary by root finding on the multipliers, and by theory."""
     rows = []
     for f in frequencies:
 
@@ -107,7 +118,7 @@ def _boundary(model: Model, frequencies: tuple[float, ...]) -> Table:
 
 
 def _root(rate: Callable[[float], float], low: float, high: float) -> float:
-    """Where a rate changes sign, by the Illinois method."""
+    """Return where a rate changes sign, by the Illinois method (regula falsi)."""
     at_low, at_high = rate(low), rate(high)
     while True:
         middle = (low * at_high - high * at_low) / (at_high - at_low)
@@ -117,18 +128,21 @@ def _root(rate: Callable[[float], float], low: float, high: float) -> float:
         if value * at_high < 0:
             low, at_low = high, at_high
         else:
+            # Illinois: halve the value at the end that stays, or the method would converge from one
+            # side only.
             at_low /= 2
         high, at_high = middle, value
 
 
 def _simulated(small: Model) -> tuple[Table, Table]:
-    """Runs of the full model from a small tilt on the periodic motion; the tilt over time."""
+    """Return runs of the full model from a small tilt on the periodic motion, and the tilts."""
     model, rows, columns = compile_scene(scene(), minimal=False), [], []
     t = np.linspace(0, _SPAN, 301)
     for frequency, amplitude, _ in _RUNS:
         params = {"frequency": frequency, "amplitude": amplitude}
         motion = floquet(small, 1 / frequency, params=params)
         rest = linearize(small, static_equilibrium(small, params=params).point)
+        # The run starts on the periodic motion of the upright body, tilted a little.
         z, v = motion.start["body.p_z"], motion.start["body.v_z"]
         start = {
             "body.q_w": math.cos(_TILT / 2),
@@ -172,7 +186,7 @@ def _simulated(small: Model) -> tuple[Table, Table]:
 
 
 def _rate(t: np.ndarray, tilt: np.ndarray) -> float:
-    """Growth rate of the tilt while it is small: of its mean square, later against earlier."""
+    """Return the growth rate of the tilt while it is small, from its mean square early and late."""
     large = np.flatnonzero(tilt > 0.1)
     n = int(large[0]) if large.size else len(t)
     first, last = tilt[n // 2 - n // 4 : n // 2], tilt[n - n // 4 : n]
@@ -181,7 +195,7 @@ def _rate(t: np.ndarray, tilt: np.ndarray) -> float:
 
 
 def draw(tables: Tables) -> Figure:
-    """The map with the theory over it, and the tilt over time at three points."""
+    """Draw the map with the theory over it, and the tilt over time at three points."""
     figure = draw_map(tables["map"])
     figure.set_size_inches(11.0, 5.0)
     left: Any = figure.axes[0]

@@ -1,11 +1,11 @@
-"""Energy and momentum that the law makes.
+"""Energy and momentum that the law creates.
 
-Two free bricks turn against each other on one spring without damping (scene `pair`): energy is
-constant and angular momentum stays zero. `Standard` and `Intrinsic` make both out of nothing, since
-their wrenches have no potential and their moments do not balance; no integrator can mend that. The
-motion they make is chaotic as well: runs at two tolerances part, and where they differ by more than
-1 % (the dotted line) a number is no longer a property of the scene, only its size is. Remedy:
-`law=Consistent()`, which keeps both to the tolerance.
+Two free bricks rotate against each other on one spring without damping (scene `pair`): energy is
+constant and angular momentum remains zero. `Standard` and `Intrinsic` create both out of nothing,
+since their wrenches have no potential and their moments do not balance; no integrator can repair
+that. The resulting motion is chaotic as well: runs at two tolerances separate, and once they differ
+by more than 1 % (the dotted line) the value is no longer a property of the scene, only its order of
+magnitude is. Remedy: `law=Consistent()`, which keeps both to the tolerance.
 """
 
 from __future__ import annotations
@@ -35,15 +35,17 @@ if TYPE_CHECKING:
 NUMBER = 1
 TOLERANCES = (1e-8, 1e-10)
 _PER_DECADE = 30
-_APART = 0.01  # relative difference of energy, from which on a run is one of many
-_INERTIA = (1 / 12, 20 * 1.04 / 12, 20 * 1.01 / 12)  # 20 kg, 1 x 0.1 x 0.2 m
+# Relative difference of energy from which on two runs count as different motions.
+_APART = 0.01
+# Of a solid brick of 20 kg and 1 x 0.1 x 0.2 m.
+_INERTIA = (1 / 12, 20 * 1.04 / 12, 20 * 1.01 / 12)
 _SPIN = np.array([8.5, 10.5, 16.0])
 
 
 def pair(law: Any) -> Scene:
-    """The two bricks, side by side.
+    """Return two bricks side by side on one undamped spring.
 
-    They are those of `models/pair.py` but for rounding in one moment of inertia, on which the
+    They differ from those of `models/pair.py` by rounding in one moment of inertia, on which the
     numbers of this page depend where the motion is chaotic.
     """
     left = RigidBody("left", 20, _INERTIA, position=(0, 1, 0), angular_velocity=_SPIN)
@@ -59,7 +61,7 @@ def pair(law: Any) -> Scene:
 
 
 def study(full: bool) -> Tables:
-    """Energy and momentum over 10 s (100 s if full), at two tolerances."""
+    """Measure energy and momentum over 10 s (100 s if full), at two tolerances."""
     decades = 3 if full else 2
     times = np.concatenate(
         [[0.0], np.geomspace(0.1, 10.0 ** (decades - 1), decades * _PER_DECADE + 1)]
@@ -85,21 +87,21 @@ def study(full: bool) -> Tables:
 
 
 def draw(tables: Tables) -> Figure:
-    """Energy and momentum made over time; thin lines are the looser tolerance."""
+    """Draw energy and momentum created over time; thin lines are the looser tolerance."""
     figure, axes = panels()
     curves, numbers = tables["curves"], tables["numbers"]
     for panel, quantity in zip(axes, ("energy", "momentum"), strict=True):
         for law, colour in LAW_COLOURS.items():
             mine = curves.column("law") == law
             t = curves.column("t")[mine]
-            for run, look, rtol in (
+            for run, style, rtol in (
                 ("tight", {"lw": 2.0, "ls": "-"}, TOLERANCES[1]),
                 ("loose", {"lw": 0.9, "ls": "--"}, TOLERANCES[0]),
             ):
                 value = curves.column(f"{quantity}_{run}")[mine]
                 made = np.abs(value - 1) if quantity == "energy" else value
                 label = f"{law}, rtol {rtol:g}"
-                panel.plot(t, made, color=colour, label=label, **look)
+                panel.plot(t, made, color=colour, label=label, **style)
             since = numbers.column("apart_from")[numbers.column("law") == law][0]
             if np.isfinite(since):
                 panel.axvline(since, color=colour, ls=":", lw=1.2)

@@ -2,14 +2,14 @@
 
 An undamped oscillator over 1e5 periods, and a free body that tumbles about its intermediate axis,
 whose exact motion is known by elliptic functions. `RK4`, Radau and the adaptive methods lose or
-gain a little with every step, so that the error grows with time: `RK4` with 30 steps in a period
-has lost 97 % of the energy after 1e5 of them. The trapezoidal rule (`GeneralizedAlpha` of spectral
-radius 1) keeps it to rounding, and Legendre collocation to 1.5e-15 a step. Of the tumbling body
+gain a little with every step, so that the error grows with time: `RK4` with 30 steps per period has
+lost 97 % of the energy after 1e5 of them. The trapezoidal rule (`GeneralizedAlpha` of spectral
+radius 1) keeps it to rounding, and Legendre collocation to 1.5e-15 per step. For the tumbling body
 Legendre keeps energy and the length of the quaternion, both of which are quadratic;
-`GeneralizedAlpha` keeps the length, for it turns the body by rotations. What stays constant says
-little about the motion: `GeneralizedAlpha`, of order 2, is off by 1e-4 rad/s after one period and
-by all there is after 1000. Remedy: Legendre collocation with three stages, or `Dop853` with a tight
-tolerance.
+`GeneralizedAlpha` keeps the length, because it advances the body by rotations. What remains
+constant says little about the motion: `GeneralizedAlpha`, of order 2, is off by 1e-4 rad/s after
+one period and completely after 1000. Remedy: Legendre collocation with three stages, or `Dop853`
+with a tight tolerance.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from rbsd_sym import (
 )
 from rbsd_sym.study import Table
 
-from .oscillators import amplitude, look, swing
+from .oscillators import amplitude, style_of, swing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,33 +45,41 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 7
-OFFSET = 0.01  # rad/s: spin about the other two axes
+# Spin about the other two axes, rad/s.
+OFFSET = 0.01
 _INERTIA = (1.0, 2.0, 3.0)
-_MANY = 1_000_000_000  # steps: no limit
+# Steps: practically no limit.
+_MANY = 1_000_000_000
 _ENDURING = ("GeneralizedAlpha, radius 1", "Legendre, order 6", "RK4")
-_OTHERS = 10_000  # periods of the oscillator for the rest, whose errors go on as they began
-_ROUNDING = 1e-16  # the least that the charts show
+# Periods of the oscillator for the other methods, whose errors continue as they began.
+_OTHERS = 10_000
+# The smallest error that the charts show.
+_ROUNDING = 1e-16
 _STYLES: dict[str, dict[str, Any]] = {
-    "Idas": look("Idas"),
-    "Rosenbrock": look("Rosenbrock"),
-    "ExplicitRK": look("ExplicitRK"),
-    "Dop853": look("Dop853"),
-    "GeneralizedAlpha, radius 1": look("GeneralizedAlpha"),
-    "GeneralizedAlpha, radius 0.9": look("GeneralizedAlpha", ls="--"),
-    "Legendre, order 6": look("Collocation", ls="--"),
-    "Radau, order 5": look("Collocation"),
-    "RK4": look("RK4"),
+    "Idas": style_of("Idas"),
+    "Rosenbrock": style_of("Rosenbrock"),
+    "ExplicitRK": style_of("ExplicitRK"),
+    "Dop853": style_of("Dop853"),
+    "GeneralizedAlpha, radius 1": style_of("GeneralizedAlpha"),
+    "GeneralizedAlpha, radius 0.9": style_of("GeneralizedAlpha", ls="--"),
+    "Legendre, order 6": style_of("Collocation", ls="--"),
+    "Radau, order 5": style_of("Collocation"),
+    "RK4": style_of("RK4"),
 }
 
 
 def half_period(inertia: Sequence[float], w: Sequence[float]) -> float:
-    """Time after which a free body's w_x and w_y (rad/s) have the other sign, s.
+    """Return the time (s) after which a free body's w_x and w_y have changed sign.
 
-    2 K(k) / rate, for I_x < I_y < I_z and H^2 > 2 T I_y [Landau, Lifshitz, Mechanics, sec. 37],
-    K(k) by the arithmetic-geometric mean of 1 and sqrt(1 - k^2).
+    It is 2 K(k) / rate, for I_x < I_y < I_z and H^2 > 2 T I_y [Landau, Lifshitz, Mechanics, sec.
+    37], with K(k) from the arithmetic-geometric mean of 1 and sqrt(1 - k^2).
+
+    Arguments:
+        inertia: principal inertias, kg m2.
+        w: angular velocity in body axes, rad/s.
     """
     A, B, C = inertia
-    # H^2 - 2 T I, summed so that the spin about the axis of I has no part in it.
+    # H^2 - 2 T I, summed so that the spin about the axis of I drops out without cancellation.
     lead, slack = (
         sum(i * (i - one) * s * s for i, s in zip(inertia, w, strict=True)) for one in (A, B)
     )
@@ -83,13 +91,13 @@ def half_period(inertia: Sequence[float], w: Sequence[float]) -> float:
 
 @cache
 def tumbling() -> Model:
-    """A free body that spins with 1 rad/s about its intermediate axis, and a little otherwise."""
+    """Return a free body that spins at 1 rad/s about its intermediate axis, slightly disturbed."""
     body = RigidBody("body", 1, _INERTIA, angular_velocity=(OFFSET, 1, OFFSET))
     return compile_scene(Scene("tumbling", [body], []))
 
 
 def methods(period: float) -> dict[str, Any]:
-    """Fixed steps of a 30th of a period of the oscillation, a 10th with three stages a step."""
+    """Return the methods; fixed steps are a 30th of a period, with three stages a 10th."""
     short, long = period / 30, period / 10
     return {
         "Idas": Idas(1e-8, 1e-10, max_steps=_MANY),
@@ -105,15 +113,15 @@ def methods(period: float) -> dict[str, Any]:
 
 
 def study(full: bool) -> dict[str, Table]:
-    """What each method keeps over 1e5 periods of an oscillator and 1000 of a tumbling body."""
+    """Measure what each method keeps over 1e5 periods of an oscillator, 1000 of a tumbling body."""
     return {
         "oscillator": _oscillator(100_000 if full else 100),
         "tumbling": _tumbling(1000 if full else 10),
     }
 
 
-def _looks(last: int) -> np.ndarray:
-    """0, 1, 3, 10, 30, ... up to the last."""
+def _sampled_periods(last: int) -> np.ndarray:
+    """Return the numbers of periods 0, 1, 3, 10, 30, ... up to the last."""
     powers = 10 ** np.arange(round(math.log10(last)) + 1)
     return np.array([0, *sorted({*powers, *(3 * powers[:-1])})], float)
 
@@ -121,10 +129,10 @@ def _looks(last: int) -> np.ndarray:
 def _oscillator(last: int) -> Table:
     period, rows = 2 * math.pi, []
     for name, method in methods(period).items():
-        looks = _looks(last if name in _ENDURING else min(last, _OTHERS))
-        run = swing(method, period * looks)
+        periods = _sampled_periods(last if name in _ENDURING else min(last, _OTHERS))
+        run = swing(method, period * periods)
         size = amplitude(run)
-        rows += [(name, n, float(a) ** 2 - 1) for n, a in zip(looks[1:], size[1:], strict=False)]
+        rows += [(name, n, float(a) ** 2 - 1) for n, a in zip(periods[1:], size[1:], strict=False)]
     return Table(("method", "periods", "energy_gained"), ("", "", ""), tuple(rows))
 
 
@@ -132,9 +140,10 @@ def _tumbling(last: int) -> Table:
     model = tumbling()
     start = (OFFSET, 1.0, OFFSET)
     period, rows = 2 * half_period(_INERTIA, start), []
-    looks = _looks(last)
-    for name, method in methods(period / 6).items():  # the body turns six times in a period
-        run = simulate(model, period * looks, method, throw=False)
+    periods = _sampled_periods(last)
+    # The body turns six times in a period, so a sixth of it determines the fixed steps.
+    for name, method in methods(period / 6).items():
+        run = simulate(model, period * periods, method, throw=False)
         energy, moment = run["energy"], run["angular_momentum"]
         q = np.array([run[f"body.q_{c}"] for c in "wxyz"])
         spin = np.abs(run["body.angular_velocity"] - start).max(axis=1)
@@ -149,7 +158,7 @@ def _tumbling(last: int) -> Table:
                 float(length[i]),
                 float(spin[i]),
             )
-            for i, n in enumerate(looks[: len(run.t)])
+            for i, n in enumerate(periods[: len(run.t)])
             if i
         ]
     return Table(
@@ -160,7 +169,7 @@ def _tumbling(last: int) -> Table:
 
 
 def draw(tables: Tables) -> Figure:
-    """Errors over periods: the oscillator's energy, and four of the tumbling body."""
+    """Draw errors over periods: the oscillator's energy, and four of the tumbling body."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.0, 7.6), layout="constrained")

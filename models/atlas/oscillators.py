@@ -1,4 +1,4 @@
-"""Bodies on one connector whose motion is known, and how methods look in the atlas."""
+"""Bodies on one connector whose motion is known exactly, and the style of each method in charts."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ METHODS = ("Idas", "Rosenbrock", "ExplicitRK", "Dop853", "GeneralizedAlpha", "Co
 
 @cache
 def oscillator() -> Model:
-    """1 kg on a connector along x: states x and v; `stiffness` k (N/m), `damping` d (N s/m)."""
+    """Return 1 kg on a spring along x with Params `stiffness` (N/m) and `damping` (N s/m)."""
     k, d = Param("stiffness", 1.0, "N/m"), Param("damping", 0.0, "N s/m")
     mass = RigidBody("mass", 1, (1, 1, 1), position=(1, 0, 0))
     spring = RigidBodySpringDamper(
@@ -46,7 +46,14 @@ def swing(
     x: float = 1.0,
     v: float = 0.0,
 ) -> Trajectory:
-    """The oscillator from x (m) and v (m/s), whatever becomes of it."""
+    """Simulate the oscillator, whatever the outcome.
+
+    Arguments:
+        integrator: the method.
+        times: output times, s.
+        k, d: stiffness (N/m) and damping (N s/m).
+        x, v: start, m and m/s.
+    """
     return simulate(
         oscillator(),
         times,
@@ -58,21 +65,22 @@ def swing(
 
 
 def amplitude(trajectory: Trajectory, k: float = 1.0) -> np.ndarray:
-    """sqrt(x^2 + v^2 / k) over time (n,), m: constant where nothing is gained or lost."""
+    """Return sqrt(x^2 + v^2 / k) over time (n,), m; it is constant for the exact motion."""
     return np.hypot(trajectory["mass.p_x"], trajectory["mass.v_x"] / np.sqrt(k))
 
 
 def factor(integrator: Any, h: float) -> complex:
-    """What a fixed step of h multiplies v + i x by, for x'' = -x; exactly exp(i h).
+    """Return the factor by which a fixed step of h multiplies v + i x, for x'' = -x.
 
-    For one-step methods: they act on an oscillation as on a complex number.
+    The exact factor is exp(i h). It is defined for one-step methods, which act on an oscillation as
+    on a complex number.
     """
     end = swing(integrator, [0.0, h], x=0.0, v=1.0)
     return complex(end["mass.v_x"][-1], end["mass.p_x"][-1])
 
 
 def timed(run: Any, *arguments: Any, **named: Any) -> tuple[Any, float]:
-    """What a function returns, and the CPU time of this thread in s at its second call.
+    """Return the result of a function, and the CPU time of this thread (s) of its second call.
 
     The first call builds functions that are kept.
     """
@@ -82,14 +90,14 @@ def timed(run: Any, *arguments: Any, **named: Any) -> tuple[Any, float]:
     return result, time.thread_time() - started
 
 
-def look(method: str, **more: Any) -> dict[str, Any]:
-    """Colour and marker of a method, the same in every chart."""
+def style_of(method: str, **more: Any) -> dict[str, Any]:
+    """Return colour and marker of a method, the same in every chart, with changes in `more`."""
     place = METHODS.index(method)
     return {"color": COLOURS[place], "marker": MARKERS[place], "ms": 5, "lw": 1.4} | more
 
 
 def legend_below(panel: Any, columns: int = 2, drop: float = -0.2) -> None:
-    """The legend below the axis, where there are no data."""
+    """Put the legend below the axis, where it hides no data."""
     panel.legend(
         loc="upper center", bbox_to_anchor=(0.5, drop), ncols=columns, frameon=False, fontsize=8
     )

@@ -1,4 +1,4 @@
-"""The pages of the atlas, found in this folder, and the files made of one."""
+"""The pages of the atlas, found in this folder, and the files made from a page."""
 
 from __future__ import annotations
 
@@ -17,12 +17,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Tables = Mapping[str, Table]
-_ROWS = 40  # of a table, beyond which the page refers to its file
+# Longest table that the page shows; longer ones are linked.
+_ROWS = 40
 _COMMAND = "python -m rbsd_sym stability --all"
 
 
 class Page(NamedTuple):
-    """One failure: its place in the atlas, what it is about, how it is measured and drawn."""
+    """One page of the atlas.
+
+    Fields:
+        number: its place.
+        name: name of its module.
+        title, text: from the docstring of the module.
+        study: function (full) that measures and returns tables by name.
+        draw: function (tables) that returns the figure.
+    """
 
     number: int
     name: str
@@ -33,12 +42,12 @@ class Page(NamedTuple):
 
 
 def model_file(name: str) -> ModuleType:
-    """A file of models/, beside the atlas."""
+    """Return a scene file of models/, loaded as a module."""
     return load_model_file(Path(__file__).parents[1] / f"{name}.py")
 
 
 def pages() -> tuple[Page, ...]:
-    """All pages, by their numbers."""
+    """Return all pages in the order of their numbers."""
     found = []
     for module in pkgutil.iter_modules([str(Path(__file__).parent)]):
         page = importlib.import_module(f".{module.name}", __package__)
@@ -53,7 +62,12 @@ def pages() -> tuple[Page, ...]:
 
 
 def make(page: Page, folder: Path, full: bool = True) -> Tables:
-    """Measure a page and write its figure (.png), tables (.csv) and text (.md); the tables.
+    """Measure a page, write its figure (.png), tables (.csv) and text (.md), and return the tables.
+
+    Arguments:
+        page: the page.
+        folder: existing folder to write to.
+        full: measure all points; otherwise only a few, within seconds.
 
     Raises:
         ValueError: the folder cannot be written to.
@@ -75,7 +89,7 @@ def make(page: Page, folder: Path, full: bool = True) -> Tables:
 
 
 def contents(folder: Path) -> Path:
-    """Write README.md, a list of all pages with their pictures.
+    """Write README.md, a list of all pages with their figures, and return its path.
 
     Raises:
         ValueError: the folder cannot be written to.

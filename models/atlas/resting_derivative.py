@@ -1,12 +1,12 @@
 """Derivatives at rest.
 
-The logarithm of a rotation is 0/0 at zero rotation, where every connector starts. Derivatives of
-the energy along one motion, up to the third (an exact Hessian of an optimal control problem has
-them), by four forms: the textbook's acos(...) / (2 sin) is NaN up to 1e-8 rad; 2 atan2(|v|, w) /
-|v| is NaN at rest and noise near it; a guard that takes the limit near rest removes the NaN and
-leaves a third derivative that is wrong by 12 %, in silence; the form used here has no branch and no
-division by an angle, and is right to 1e-14. The textbook's form fails once more next to 180
-degrees.
+The logarithm of a rotation is 0/0 at zero rotation, where every connector starts. Four forms are
+compared by the derivatives of the energy along one motion, up to the third (which the exact Hessian
+of an optimal control problem contains): the textbook's acos(...) / (2 sin) is NaN up to 1e-8 rad; 2
+atan2(|v|, w) / |v| is NaN at rest and noise near it; a guard that takes the limit near rest removes
+the NaN and silently leaves a third derivative that is wrong by 12 %; the form used here has no
+branch and no division by an angle, and is accurate to 1e-14. The textbook's form fails once more
+close to 180 degrees.
 """
 
 from __future__ import annotations
@@ -39,13 +39,15 @@ if TYPE_CHECKING:
 NUMBER = 14
 ANGLES = (0.0, 1e-12, 1e-8, 1e-6, 1e-4, 1e-2, 1.0, 3.0)
 _AXIS = np.array([-0.62, -0.77, 0.13]) / np.linalg.norm([-0.62, -0.77, 0.13])
-_GUARD = 1e-8  # rad
+# Angle below which the guarded form takes the limit, rad.
+_GUARD = 1e-8
 _FORM_COLOURS = (COLOURS[1], COLOURS[4], COLOURS[6], COLOURS[0])
-_EXACT = 1e-17  # what an error of zero is drawn at
+# Value at which an error of zero is drawn.
+_EXACT = 1e-17
 
 
 def textbook_log(q: Any) -> Any:
-    """The skew part of R times angle / (2 sin(angle)), angle = acos((trace - 1) / 2)."""
+    """Return the skew part of R times angle / (2 sin(angle)), angle = acos((trace - 1) / 2)."""
     R = quat_matrix(q)
     angle = ca.acos((R[0, 0] + R[1, 1] + R[2, 2] - 1) / 2)
     skew = ca.vertcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
@@ -53,13 +55,13 @@ def textbook_log(q: Any) -> Any:
 
 
 def naive_log(q: Any) -> Any:
-    """2 atan2(|v|, w) v / |v|."""
+    """Return 2 atan2(|v|, w) v / |v| of the quaternion (w, v)."""
     n = ca.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     return 2 * ca.atan2(n, q[0]) / n * q[1:]
 
 
 def guarded_log(q: Any) -> Any:
-    """The naive form, with its limit 2 v below 1e-8 rad."""
+    """Return the naive form, replaced by its limit 2 v below 1e-8 rad."""
     n2 = q[1] ** 2 + q[2] ** 2 + q[3] ** 2
     near = n2 < (_GUARD / 2) ** 2
     n = ca.sqrt(ca.if_else(near, 1, n2))
@@ -75,7 +77,12 @@ FORMS: dict[str, Callable[[Any], Any]] = {
 
 
 def orders(log: Callable[[Any], Any], pose: Pose) -> np.ndarray:
-    """U and its first three derivatives (4,) with a form of the logarithm, by CasADi in SX."""
+    """Return U and its first three derivatives (4,), by CasADi, with a given form of the logarithm.
+
+    Arguments:
+        log: function of a quaternion that returns the rotation vector.
+        pose: markers, direction of motion, and spring.
+    """
     p0, q0, p1, q1, d, K, offset = (ca.DM(np.array(part, float)) for part in pose)
     s = ca.SX.sym("s")
     q0_moved = quat_product(quat_exp(s * d[3:6]), q0)
@@ -89,7 +96,7 @@ def orders(log: Callable[[Any], Any], pose: Pose) -> np.ndarray:
 
 
 def pose_at(angle: float) -> Pose:
-    """Markers 0.37 m apart and turned by an angle, on a spring with offset."""
+    """Return markers 0.37 m apart and rotated by an angle (rad), on a spring with an offset."""
     q1 = np.array(quat_exp(ca.DM(angle * _AXIS)))[:, 0].tolist()
     direction = (-0.2, -0.3, 1.0, -1.2, 0.7, -1.1, -0.3, -0.8, 1.4, 0.6, 2.4, 0.6)
     stiffness = np.diag([4000.0, 5000.0, 7000.0, 250.0, 500.0, 325.0]).tolist()
@@ -98,7 +105,7 @@ def pose_at(angle: float) -> Pose:
 
 
 def study(full: bool) -> Tables:
-    """Errors of U and its derivatives over the angle, and of the logarithm next to 180 degrees."""
+    """Measure errors of U and its derivatives over the angle, and of the logarithm close to pi."""
     angles = sorted({*ANGLES, *np.logspace(-13, 0, 27)}) if full else ANGLES
     rows = []
     for angle in angles:
@@ -114,7 +121,7 @@ def study(full: bool) -> Tables:
 
 
 def _errors_at_pi(gap: float) -> tuple[float, float]:
-    """Errors of two logarithms of the rotation by pi - gap, from its matrix and quaternion."""
+    """Return errors of two logarithms of the rotation by pi - gap, rad."""
     half = (np.pi - gap) / 2
     q = ca.DM([np.sin(gap / 2), *(np.sin(half) * _AXIS)])
     exact = (np.pi - gap) * _AXIS
@@ -124,17 +131,18 @@ def _errors_at_pi(gap: float) -> tuple[float, float]:
 
 
 def draw(tables: Tables) -> Figure:
-    """Error of the third derivative over the angle, and of the logarithm next to 180 degrees."""
+    """Draw the error of the third derivative over the angle, and of the logarithm close to pi."""
     figure, axes = panels()
     errors, near = tables["derivatives"], tables["near_pi"]
     for i, name in enumerate(FORMS):
         mine = errors.column("form") == name
-        angle = np.maximum(errors.column("angle")[mine], 1e-15)  # rest has a place of its own
+        # A logarithmic axis has no zero: rest is drawn at 1e-15.
+        angle = np.maximum(errors.column("angle")[mine], 1e-15)
         error = np.maximum(np.abs(errors.column("third")[mine]), _EXACT)
-        look = {"color": _FORM_COLOURS[i]}
+        style = {"color": _FORM_COLOURS[i]}
         good = np.isfinite(error)
         axes[0].plot(
-            angle[good], error[good], MARKERS[i] + STYLES[i], ms=5, lw=1.3, label=name, **look
+            angle[good], error[good], MARKERS[i] + STYLES[i], ms=5, lw=1.3, label=name, **style
         )
         axes[0].plot(
             angle[~good],
@@ -143,7 +151,7 @@ def draw(tables: Tables) -> Figure:
             ms=9,
             mew=2,
             transform=axes[0].get_xaxis_transform(),
-            **look,
+            **style,
         )
     axes[0].plot([], [], "kx", ms=9, mew=2, label="NaN")
     axes[0].set(

@@ -1,12 +1,12 @@
-"""Stick-slip, and events without end.
+"""Stick-slip, and infinitely many events.
 
-A block on a belt sticks and slips; a ball with restitution comes to rest by infinitely many bounces
-in finite time. Regularised friction never sticks, it creeps: its error falls only with the width of
-the regularisation, and explicit methods pay for it with steps in inverse proportion. The form with
-events meets the closed form to the tolerance. The bouncing ball ends every run with its outcome
-`endless_events`, with the count and a time short of the exact one by less than 1e-6 of it, never
-with a hang. Remedy: events for stick and slip, with `Idas` or `Rosenbrock`; and for what comes to
-rest a `Contact` with damping, which closes for good.
+A block on a belt sticks and slips; a ball with restitution comes to rest after infinitely many
+bounces in finite time. Regularised friction never sticks but creeps: its error falls only with the
+width of the regularisation, and explicit methods need steps in inverse proportion to it. The form
+with events matches the closed form to the tolerance. The bouncing ball ends every run with the
+outcome `endless_events`, with the number of events and a time that falls short of the exact one by
+less than 1e-6 of it; no run hangs. Remedy: events for stick and slip, with `Idas` or `Rosenbrock`;
+and for what comes to rest a `Contact` with damping, which closes for good.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rbsd_sym import (
 )
 from rbsd_sym.study import Table
 
-from .oscillators import legend_below, look
+from .oscillators import legend_below, style_of
 from .pages import model_file
 
 if TYPE_CHECKING:
@@ -44,22 +44,32 @@ if TYPE_CHECKING:
 
 NUMBER = 12
 _stick_slip = model_file("stick_slip").scene
-BELT, NORMAL, STATIC, KINETIC, SPRING = 0.5, 10.0, 0.4, 0.3, 4.0  # m/s, N, -, -, N/m; 1 kg
-GRAVITY, HEIGHT = 9.81, 1.0  # m/s2, m
-_END = 10.0  # s
+# m/s, N, -, -, N/m; the block has 1 kg.
+BELT, NORMAL, STATIC, KINETIC, SPRING = 0.5, 10.0, 0.4, 0.3, 4.0
+# m/s2, m.
+GRAVITY, HEIGHT = 9.81, 1.0
+# Length of a run, s.
+_END = 10.0
 _RTOL, _ATOL = 1e-8, 1e-10
-_WIDE = 1e-2  # m/s: the width whose path is shown
-_FLOOR: dict[str, Any] = {"stiffness": 1e6, "damping": 400.0}  # N/m, N s/m
+# Width of the regularisation whose path is shown, m/s.
+_WIDE = 1e-2
+# N/m, N s/m.
+_FLOOR: dict[str, Any] = {"stiffness": 1e6, "damping": 400.0}
 _STYLES = {
-    name: look(name) for name in ("Idas", "Rosenbrock", "ExplicitRK", "Dop853", "GeneralizedAlpha")
+    name: style_of(name)
+    for name in ("Idas", "Rosenbrock", "ExplicitRK", "Dop853", "GeneralizedAlpha")
 }
 
 
 def belt_path(t: np.ndarray) -> np.ndarray:
-    """Position of the block (m), which starts with the belt at 0 [Leine, Nijmeijer 2004].
+    """Return the position (m) of the block [Leine, Nijmeijer 2004].
 
-    It sticks up to mu_s N / k, then slips about c = mu_k N / k: x = c + D cos s + (V/w) sin s,
-    D = (mu_s - mu_k) N / k, s = w t, until its velocity is V again at x = c - D.
+    It starts with the belt at 0, sticks up to mu_s N / k, then slips about c = mu_k N / k:
+    x = c + D cos s + (V/w) sin s, D = (mu_s - mu_k) N / k, s = w t, until its velocity is V again
+    at x = c - D.
+
+    Arguments:
+        t: times (n,), s.
     """
     w, centre = math.sqrt(SPRING), KINETIC * NORMAL / SPRING
     D = (STATIC - KINETIC) * NORMAL / SPRING
@@ -72,7 +82,7 @@ def belt_path(t: np.ndarray) -> np.ndarray:
 
 
 def zeno_time(restitution: float) -> float:
-    """Time at which infinitely many bounces are over, s."""
+    """Return the time (s) at which infinitely many bounces are over."""
     impact = math.sqrt(2 * GRAVITY * HEIGHT)
     return (impact + 2 * impact * restitution / (1 - restitution)) / GRAVITY
 
@@ -84,7 +94,7 @@ def _ball(floor: Any) -> Any:
 
 
 def study(full: bool) -> dict[str, Table]:
-    """Stick-slip in both forms over the width; bouncing balls; a ball that rests."""
+    """Measure stick-slip in both forms over the width, bouncing balls, and a ball that rests."""
     decades = np.linspace(0.5, -3, 8) if full else np.array([0.0, -2.0])
     friction, path = _friction(_WIDE * 10**decades)
     ends, bounces = _bounces((0.5, 0.8, 0.95) if full else (0.5,))
@@ -110,8 +120,9 @@ def _friction(widths: np.ndarray) -> tuple[Table, Table]:
     for width in (0.0, *map(float, widths)):
         model = compile_scene(_stick_slip(smoothing=width))
         for name, method in methods.items():
+            # Sticking needs an algebraic unknown, which explicit methods do not support.
             if not width and name == "ExplicitRK":
-                continue  # sticking holds by an algebraic unknown, which it does not take
+                continue
             run = simulate(model, times, method, throw=False)
             x, n = run["block.p_x"], len(run.t)
             if name == "Idas":
@@ -161,7 +172,7 @@ def _bounces(restitutions: tuple[float, ...]) -> tuple[Table, Table]:
 
 
 def _rest(full: bool) -> Table:
-    """The ball on a floor that gives way and damps; it ends pressed in by m g / k."""
+    """Return how a ball on an elastic, damped floor ends: pressed in by m g / k."""
     model, rows = _ball(Contact(2, **_FLOOR)), []
     methods: dict[str, Any] = {"Idas": Idas(1e-6, 1e-8), "Dop853": Dop853(1e-6, 1e-8)}
     if full:
@@ -185,7 +196,7 @@ def _rest(full: bool) -> Table:
 
 
 def draw(tables: Tables) -> Figure:
-    """The path, error and steps over the width, and the time left at each bounce."""
+    """Draw the path, error and steps over the width, and the time left at each bounce."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.5, 8.2), layout="constrained")
@@ -206,7 +217,8 @@ def draw(tables: Tables) -> Figure:
     path.set(xlabel="time [s]", ylabel="position of the block [m]")
     _draw_widths(error, steps, tables["friction"])
     table = tables["bounces"]
-    for i, (name, style) in enumerate(_STYLES.items()):  # they lie on each other
+    # The methods coincide, so the markers differ in size.
+    for i, (name, style) in enumerate(_STYLES.items()):
         mine = table.column("method") == name
         own = style | {"ls": "", "ms": 13 - 2.5 * i, "mfc": "none", "mew": 1.5}
         bounces.plot(

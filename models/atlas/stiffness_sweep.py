@@ -1,13 +1,13 @@
 """Stiffness sweep: the same slow motion on ever stiffer joints.
 
-An arm whirls with one turn a second about a joint of stiffness k, without damping; its path is
+An arm whirls at one turn per second about a joint of stiffness k, without damping; its path is
 known for every k. Explicit methods take steps in proportion to sqrt(k) and run out of them; fixed
-steps of `RK4` blow up. `Idas` follows the stiff vibration, which rounding alone keeps alive, with
+steps of `RK4` blow up. `Idas` follows the stiff vibration, which only rounding keeps alive, with
 ever more steps, and stops where double precision leaves it no digits: the force of the joint is a
 difference of positions, with an error of about k times 1e-16 m (grey). `Rosenbrock` gets further,
 with more steps and less accuracy. Legendre collocation damps nothing, so that rounding stays in the
 motion. `GeneralizedAlpha` and Radau take the same steps with the same error from 1e3 to 1e14 N/m.
-Remedy: these two, or a joint no stiffer than its deflection needs.
+Remedy: these two, or a joint no stiffer than its deflection requires.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from rbsd_sym import (
 )
 from rbsd_sym.study import Table
 
-from .oscillators import look
+from .oscillators import style_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,30 +49,35 @@ if TYPE_CHECKING:
     from .pages import Tables
 
 NUMBER = 8
-SPIN = 2 * math.pi  # rad/s
-_END = 2.0  # s: two turns
+# Angular velocity of the arm, rad/s.
+SPIN = 2 * math.pi
+# Length of a run, s: two turns.
+_END = 2.0
 _RTOL, _ATOL = 1e-6, 1e-8
-_SHORT, _LONG = 1e-3, 1e-2  # s: fixed steps, of methods with one and with three stages
+# Fixed steps of methods with one and with three stages, s.
+_SHORT, _LONG = 1e-3, 1e-2
 _EPSILON = float(np.finfo(float).eps)
-_AGAIN = 0.5  # s: runs below it are timed a second time, without what is built once
+# CPU time, s: shorter runs are timed again, without what is built only once.
+_AGAIN = 0.5
 _STYLES: dict[str, dict[str, Any]] = {
-    "Idas": look("Idas"),
-    "Idas, max_order 2": look("Idas", ls="--"),
-    "Rosenbrock": look("Rosenbrock"),
-    "ExplicitRK": look("ExplicitRK"),
-    "Dop853": look("Dop853"),
-    "GeneralizedAlpha, radius 0.9": look("GeneralizedAlpha"),
-    "Radau, order 5": look("Collocation"),
-    "Legendre, order 6": look("Collocation", ls="--"),
-    "RK4": look("RK4"),
+    "Idas": style_of("Idas"),
+    "Idas, max_order 2": style_of("Idas", ls="--"),
+    "Rosenbrock": style_of("Rosenbrock"),
+    "ExplicitRK": style_of("ExplicitRK"),
+    "Dop853": style_of("Dop853"),
+    "GeneralizedAlpha, radius 0.9": style_of("GeneralizedAlpha"),
+    "Radau, order 5": style_of("Collocation"),
+    "Legendre, order 6": style_of("Collocation", ls="--"),
+    "RK4": style_of("RK4"),
 }
 
 
 @cache
 def whirl() -> Model:
-    """1 kg on an arm of 1 m about a joint at the origin; `stiffness` k in N/m; in its plane.
+    """Return 1 kg on an arm of 1 m about a joint, in a plane; Param `stiffness` (N/m).
 
-    Without what was left out: at 1e9 N/m rounding makes its zero eigenvalues look like growth.
+    The account of the reduction is removed: at 1e9 N/m rounding makes its zero eigenvalues resemble
+    growth.
     """
     k = Param("stiffness", 1e6, "N/m")
     arm = RigidBody(
@@ -90,13 +95,15 @@ def whirl() -> Model:
 
 
 def radius(k: float) -> float:
-    """Of the circle on which the joint's force k (r - 1 m) is the centripetal one, m."""
+    """Return the radius (m) at which the force k (r - 1 m) of the joint is the centripetal one."""
+    # k (r - 1) = w^2 r for 1 kg.
     return 1 + SPIN**2 / (k - SPIN**2)
 
 
 def _methods(full: bool) -> Mapping[str, Any]:
     budget = 10 if full else 1
-    limit: dict[str, Any] = {"max_steps": 1_000 * budget}  # in each of 20 intervals
+    # In each of the 20 output intervals.
+    limit: dict[str, Any] = {"max_steps": 1_000 * budget}
     return {
         "Idas": Idas(_RTOL, _ATOL, **limit),
         "Idas, max_order 2": Idas(_RTOL, _ATOL, max_order=2, **limit),
@@ -111,7 +118,7 @@ def _methods(full: bool) -> Mapping[str, Any]:
 
 
 def study(full: bool) -> dict[str, Table]:
-    """Error, steps and CPU time of each method over stiffness."""
+    """Measure error, steps and CPU time of each method over stiffness."""
     stiffnesses = np.logspace(3, 14, 12) if full else np.array([1e3, 1e6, 1e9, 1e14])
     rows = [
         (name, float(k), *_run(method, float(k), 2 if full else 1))
@@ -128,7 +135,7 @@ def study(full: bool) -> dict[str, Table]:
 
 
 def _run(method: Any, k: float, repeats: int) -> tuple[float | None, float, float, str]:
-    """Largest error of the position, steps, CPU time, outcome."""
+    """Return the largest error of the position (m), steps, CPU time (s) and outcome."""
     r, times = radius(k), np.linspace(0.0, _END, 21)
     given: dict[str, Any] = {
         "params": {"stiffness": k},
@@ -152,7 +159,7 @@ def _run(method: Any, k: float, repeats: int) -> tuple[float | None, float, floa
 
 
 def draw(tables: Tables) -> Figure:
-    """Error, steps and time over stiffness; failed runs are crosses."""
+    """Draw error, steps and time over stiffness; failed runs are crosses."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.0, 5.2), layout="constrained")

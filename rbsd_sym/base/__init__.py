@@ -1,1 +1,1 @@
-"""What every floor above may use: symbols, checks, rotations, linear algebra, files."""
+"""Foundations of all other folders: symbols, checks, names, rotations, linear algebra, files."""

@@ -1,4 +1,4 @@
-"""Checks of numbers that users hand in: shape, finiteness, rotation, inertia."""
+"""Checks of the numbers that users give: shape, finiteness, rotations, inertia tensors."""
 
 from __future__ import annotations
 
@@ -9,15 +9,25 @@ import numpy as np
 from .symbols import Scalar, default_values, is_number, leaves_of, to_expr
 
 _EPS = float(np.finfo(float).eps)
-_ROTATION_TOLERANCE = 1e-9  # larger than rounding of any textbook construction of a rotation
+# Larger than the rounding error of any textbook construction of a rotation.
+_ROTATION_TOLERANCE = 1e-9
 
 
 def numbers(value: Any, shape: tuple[int, ...], where: str, unit: str = "") -> np.ndarray:
-    """`value` as a read-only array of the given shape: floats, or objects if any is symbolic.
+    """Return `value` as a read-only array of the given shape.
+
+    The array holds floats or, if any entry is symbolic, Python objects.
+
+    Arguments:
+        value: a number, nested lists or an array; entries are numbers, Params, Inputs, TIME or
+            expressions of them.
+        shape: the shape required; () for a single number.
+        where: beginning of the error message, such as "body 'arm', position".
+        unit: unit that the error message prints after a number.
 
     Raises:
-        ValueError: wrong shape, NaN or infinite.
-        TypeError: an entry that is neither a float nor a Param, Input or expression of them.
+        ValueError: wrong shape, rows of different length, NaN or infinity.
+        TypeError: an entry that is neither a number nor an expression.
     """
     unit = f" {unit}" if unit else ""
     try:
@@ -25,7 +35,10 @@ def numbers(value: Any, shape: tuple[int, ...], where: str, unit: str = "") -> n
     except ValueError as error:
         raise ValueError(f"{where}: rows of different length; give shape {shape}") from error
     if array.shape != shape:
-        raise ValueError(f"{where}: shape {array.shape}; the rule is {shape}; got {value!r}")
+        raise ValueError(
+            f"{where}: {value!r} has shape {array.shape}; shape {shape} is required; add or remove "
+            "entries"
+        )
     for item in array.flat:
         if not is_number(item):
             raise TypeError(
@@ -41,19 +54,28 @@ def numbers(value: Any, shape: tuple[int, ...], where: str, unit: str = "") -> n
 
 
 def is_symbolic(array: np.ndarray) -> bool:
-    """Whether any entry is a symbol."""
+    """Return whether an array made by `numbers` holds any symbolic entry."""
     return array.dtype == object
 
 
 def at_default(array: np.ndarray) -> np.ndarray:
-    """The array as floats, every symbol at its default value."""
+    """Return the array as floats, with every symbol replaced by its default value."""
     if not is_symbolic(array):
         return array
     return default_values(to_expr(array), leaves_of(array)).reshape(array.shape)
 
 
 def matrix6(value: Any, where: str) -> np.ndarray:
-    """A 6x6 matrix; a 6-vector is its diagonal, a plain 0 is the zero matrix."""
+    """Return a 6x6 stiffness or damping matrix as a checked array.
+
+    Arguments:
+        value: 6x6 in the order translation, rotation; or 6 numbers, its diagonal; or 0, the zero
+            matrix.
+        where: beginning of the error message.
+
+    Raises:
+        ValueError, TypeError: any other shape, or entries that `numbers` rejects.
+    """
     if is_number(value) and not isinstance(value, Scalar) and value == 0:
         return numbers(np.zeros((6, 6)), (6, 6), where)
     array = np.array(value, dtype=object)
@@ -64,27 +86,37 @@ def matrix6(value: Any, where: str) -> np.ndarray:
         return numbers(full, (6, 6), where)
     if array.shape != (6, 6):
         raise ValueError(
-            f"{where}: shape {array.shape}; the rule is 6x6, or 6 numbers for the diagonal; "
-            "translation comes first, then rotation"
+            f"{where}: shape {array.shape}; 6x6 is required, or 6 numbers for the diagonal; add or "
+            "remove entries (translation comes first, then rotation)"
         )
     return numbers(value, (6, 6), where)
 
 
 def vector6(value: Any, where: str) -> np.ndarray:
-    """A 6-vector, translation first; a plain 0 is the zero vector."""
+    """Return 6 numbers, translation first, as a checked array; a plain 0 is the zero vector.
+
+    Raises:
+        ValueError, TypeError: any other shape, or entries that `numbers` rejects.
+    """
     if is_number(value) and not isinstance(value, Scalar) and value == 0:
         value = np.zeros(6)
     return numbers(value, (6,), where)
 
 
 def rotation(value: Any, where: str) -> np.ndarray:
-    """A rotation matrix (3, 3) or a unit quaternion (4,), scalar first.
+    """Return a checked rotation, in the form in which it was given.
 
     Entries within rounding (4 epsilon) of -1, 0 and 1 become exact, so that `cos(pi/2)` leaves no
-    spurious coupling in the model. Symbolic rotations are taken as they are.
+    spurious coupling in the model. A quaternion is normalised. Symbolic rotations are only checked
+    for their shape.
+
+    Arguments:
+        value: a rotation matrix (3, 3) or a unit quaternion (4,), scalar first.
+        where: beginning of the error message.
 
     Raises:
-        ValueError: wrong shape, not orthonormal within 1e-9, determinant -1, not a unit quaternion.
+        ValueError: wrong shape; a matrix that is not orthonormal within 1e-9 or has determinant -1;
+            a quaternion whose norm differs from 1 by more than 1e-9.
     """
     shape = np.shape(np.array(value, dtype=object))
     if shape == (4,):
@@ -92,6 +124,8 @@ def rotation(value: Any, where: str) -> np.ndarray:
     matrix = numbers(value, (3, 3), where)
     if is_symbolic(matrix):
         return matrix
+    # Entries of 1e200 overflow to infinity or NaN here; the comparison below then rejects them, and
+    # that is why it is written as `not defect <= ...`.
     with np.errstate(over="ignore", invalid="ignore"):
         defect = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
     if not defect <= _ROTATION_TOLERANCE:
@@ -121,6 +155,7 @@ def _quaternion(q: np.ndarray, where: str) -> np.ndarray:
 
 
 def _exact(array: np.ndarray) -> np.ndarray:
+    """Return a read-only copy in which entries within 4 epsilon of -1, 0 and 1 are exact."""
     out = array.copy()
     for exact in (-1.0, 0.0, 1.0):
         out[np.abs(out - exact) <= 4 * _EPS] = exact
@@ -129,13 +164,17 @@ def _exact(array: np.ndarray) -> np.ndarray:
 
 
 def inertia(value: Any, where: str) -> np.ndarray:
-    """Inertia about the centre of mass, body axes, as 3x3, in kg m2.
+    """Return an inertia tensor about the centre of mass, body axes, as (3, 3) in kg m2.
+
+    Symbolic entries are checked at the default values of their Params.
 
     Arguments:
-        value: 3x3, or 3 principal values, or 6 values (Ixx, Iyy, Izz, Iyz, Ixz, Ixy).
+        value: 3x3; or 3 principal values; or 6 values (Ixx, Iyy, Izz, Iyz, Ixz, Ixy).
+        where: beginning of the error message.
 
     Raises:
-        ValueError: wrong shape, unsymmetric, not positive definite, triangle inequality broken.
+        ValueError: wrong shape, not symmetric, a negative principal value, or principal values that
+            break the triangle inequality.
     """
     array = np.array(value, dtype=object)
     if array.shape == (3,):
@@ -146,8 +185,8 @@ def inertia(value: Any, where: str) -> np.ndarray:
         array = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=object)
     if array.shape != (3, 3):
         raise ValueError(
-            f"{where}: shape {array.shape}; the rule is 3x3, 3 principal values, or 6 values "
-            "(Ixx, Iyy, Izz, Iyz, Ixz, Ixy)"
+            f"{where}: shape {array.shape}; 3x3 is required; or give 3 principal values, or 6 "
+            "values (Ixx, Iyy, Izz, Iyz, Ixz, Ixy)"
         )
     matrix = numbers(array, (3, 3), where, "kg m2")
     _check_inertia(at_default(matrix), where)
@@ -174,6 +213,8 @@ def _check_inertia(matrix: np.ndarray, where: str) -> None:
             f"{where}: inertia has the principal value {a:.6g} kg m2; they are positive; check "
             "signs and units"
         )
+    # For a real mass distribution a + b - c = 2 integral z^2 dm >= 0, with z along the axis of c.
+    # The margin of 1e-9 admits flat bodies, for which equality holds up to rounding.
     if a + b < c * (1 - 1e-9):
         raise ValueError(
             f"{where}: inertia {a:.6g} + {b:.6g} < {c:.6g} kg m2 breaks the triangle inequality; "

@@ -1,4 +1,4 @@
-"""Numpy's elementwise functions as CasADi expressions, by the names that numpy gives them."""
+"""Numpy's elementwise functions as CasADi expressions, under the names that numpy uses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _DEGREE = pi / 180
 
 
 def _rint(a: ca.SX) -> ca.SX:
-    """The nearest whole number; of two that are equally near the even one, as in numpy."""
+    """Return the nearest whole number; halfway cases go to the even one, as in numpy."""
     above = ca.floor(a + 0.5)
     odd = above - 2 * ca.floor(above / 2)
     return above - ca.if_else(a + 0.5 == above, odd, 0)
@@ -80,17 +80,18 @@ UFUNCS: dict[str, Callable[..., ca.SX]] = {
     "bitwise_or": ca.logic_or,
     "invert": ca.logic_not,
 }
-"""Beside them +, -, *, /, ** and @ act on the entries of an array as they are."""
+"""Numpy functions by name; the operators +, -, *, /, ** and @ work on expressions without them."""
 
 
 def interpolated(
     x: ca.SX, at: np.ndarray, values: Sequence[ca.SX], left: ca.SX, right: ca.SX
 ) -> ca.SX:
-    """Piecewise linear in x, with the formula that numpy uses within each piece.
+    """Return a piecewise linear function of x, with the formula that numpy uses within each piece.
 
     Arguments:
-        at: numbers (n,) that do not decrease; where two are equal it jumps.
-        values: one at each of them.
+        x: where to evaluate it.
+        at: numbers (n,) that do not decrease; where two are equal the function jumps.
+        values: n values, one at each of them.
         left, right: values before the first and after the last.
     """
     out = ca.if_else(x > at[-1], right, values[-1])

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and the data frames of pandas."""
+"""Writing files completely or not at all, and access to the data frames of pandas."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from typing import IO, Any
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object], who: str) -> Path:
-    """Write a file by a temporary one in the same folder, which must exist.
+    """Write a file so that it is either complete or unchanged, and return its path.
+
+    The content goes to a temporary file in the same folder, which then replaces the target in one
+    step.
 
     Arguments:
-        write: gets the open file.
-        who: begins the error message.
+        path: the file; its folder must exist.
+        write: function that is called with the file, open for writing bytes.
+        who: beginning of the error message.
 
     Raises:
         ValueError: the file cannot be written.
@@ -23,6 +27,8 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object], who: str) -> P
     try:
         with open(temporary, "wb") as file:
             write(file)
+        # Renaming within one file system is atomic: readers find the old file or the new one, also
+        # if this process is killed halfway.
         os.replace(temporary, path)
     except OSError as error:
         why = error.strerror or error
@@ -35,7 +41,7 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object], who: str) -> P
 
 
 def data_frame() -> Any:
-    """Return pandas' DataFrame, imported only when it is asked for.
+    """Return the class DataFrame of pandas, importing pandas only now.
 
     Raises:
         ImportError: pandas is not installed.

@@ -1,4 +1,4 @@
-"""Linear equations that may not decide everything: least-norm solutions, free directions."""
+"""Linear systems that may be singular: minimum-norm solutions and the directions left free."""
 
 from __future__ import annotations
 
@@ -7,17 +7,30 @@ from functools import cached_property
 
 import numpy as np
 
-_RANK = 1e-11  # of the largest singular value, rows and columns in fair units
-_SMALL = 600  # equations, up to which singular values are taken at once
-_REGULAR = 1e-11  # inverse condition of a large matrix that needs none
-_PART = 1e-6  # of the leading entry of a direction, below which a name is left out
-_NAMES = 6  # of one direction
+# Singular values below this fraction of the largest count as zero, after scaling.
+_RANK = 1e-11
+# Number of equations up to which the singular values are always computed.
+_SMALL = 600
+# Inverse condition number above which a large matrix counts as regular.
+_REGULAR = 1e-11
+# Entries below this fraction of the leading entry of a direction are not named.
+_PART = 1e-6
+# Most names in the description of one direction.
+_NAMES = 6
 
 
 class Slope:
-    """A square matrix J for Newton steps, which may be singular.
+    """A square Jacobian J for Newton steps, which may be singular.
 
-    Rows are scaled to their largest entry, and then columns; a row of zeros stays as it is.
+    Rows are scaled by their largest entry, then columns, before the rank is decided, so that it
+    does not depend on the units of equations and unknowns. A row of zeros stays as it is. Up to 600
+    equations the rank comes from singular values; a larger matrix is inverted directly if it is
+    well conditioned.
+
+        step = -Slope(J).solve(residual)
+
+    Arguments:
+        J: numbers (n, n). If any is not finite, `finite` is False and nothing else may be used.
     """
 
     def __init__(self, J: np.ndarray) -> None:
@@ -30,7 +43,7 @@ class Slope:
             self._scaled = scaled * self._column
 
     def scaled(self, residual: np.ndarray) -> np.ndarray:
-        """A residual in units of the rows."""
+        """Return a residual (n,) with each row divided by the largest entry of that row of J."""
         return residual * self._row
 
     @cached_property
@@ -39,7 +52,8 @@ class Slope:
 
     @cached_property
     def _inverse(self) -> np.ndarray | None:
-        """Of a large regular matrix; singular values cost twenty times as much."""
+        """Inverse of the scaled matrix if it is large and regular; else None."""
+        # The singular value decomposition of a large matrix costs about twenty times its inverse.
         if len(self.J) <= _SMALL:
             return None
         try:
@@ -55,7 +69,11 @@ class Slope:
         return int((values > _RANK * values.max(initial=0.0)).sum())
 
     def solve(self, residual: np.ndarray) -> np.ndarray:
-        """The smallest of the steps s with least |J s - residual|."""
+        """Return the step s (n,) of minimum norm among those that minimise |J s - residual|.
+
+        The residual is measured in the units of its rows, the norm of s in the units of the
+        unknowns.
+        """
         r = self.scaled(residual)
         if not len(r):
             return r
@@ -64,11 +82,13 @@ class Slope:
         U, values, Vt = self._parts
         k, N = self._rank, self.null
         step = self._column * (Vt[:k].T @ ((U[:, :k].T @ r) / values[:k]))
+        # The step above has minimum norm in scaled unknowns; removing its part in the null space
+        # makes the norm minimal in the unknowns themselves.
         return step - N @ np.linalg.lstsq(N, step, rcond=None)[0] if N.size else step
 
     @cached_property
     def null(self) -> np.ndarray:
-        """Steps (n, k) that J does not feel, a column each."""
+        """Basis (n, k) of the null space of J, one direction per column; k = 0 if J is regular."""
         if not len(self.J) or self._inverse is not None:
             return np.zeros((len(self.J), 0))
         return self._column[:, None] * self._parts[2][self._rank :].T
@@ -79,7 +99,15 @@ def _or_one(values: np.ndarray) -> np.ndarray:
 
 
 def named_directions(null: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
-    """Directions that span a null space, each by the names of the entries that move in it."""
+    """Describe directions that span a null space by the names of the entries that change in them.
+
+    Arguments:
+        null: basis (n, k), one direction per column.
+        names: n names.
+
+    Returns:
+        k descriptions, such as "a.p_x with b.p_x"; the entry that changes most comes first.
+    """
     rows = _echelon(null.T.copy())
     found = []
     for row in rows:
@@ -91,10 +119,11 @@ def named_directions(null: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """The rows combined so that each has a leading entry 1, where all others are 0."""
+    """Combine rows so that each has a leading entry 1 in a column where all others are 0."""
     open_rows = list(range(len(rows)))
     while open_rows:
         size = np.abs(rows[open_rows])
+        # Gauss-Jordan elimination with full pivoting over the rows that have no leading entry yet.
         i, j = np.unravel_index(int(size.argmax()), size.shape)
         lead = open_rows.pop(int(i))
         rows[lead] = rows[lead] / rows[lead, j]

@@ -1,7 +1,7 @@
-"""Names: how they are joined for people, checked for C, and matched with what a user typed.
+"""Names: joining them for people, checking them for C, matching them with what a user typed.
 
-Below the waist facts come from structure (`dae.members.Label`, `Derivative`), never from the text
-of a name. What a user typed is the only text that is taken apart, here and nowhere else.
+In everything built on a `Dae`, facts come from structure (`dae.members.Label`, `Derivative`), never
+from the text of a name. Only text that a user typed is taken apart, and only here.
 """
 
 from __future__ import annotations
@@ -17,24 +17,36 @@ _C_WORDS = frozenset(
     "private public protected virtual try catch throw using friend explicit export mutable asm "
     "and or not xor true false main jac hess null NULL nan inf".split()
 )
-_LISTED = 30  # names in an error message
+# Most names in an error message.
+_LISTED = 30
 _JACOBIAN = re.compile(r"d(ode|alg|out|zero)_d([txzup])")
 _DIRECTIONAL = re.compile(r"(ode|alg|out)_(hessian|forward|adjoint)")
 
 
 def joined(owner: str, quantity: str, component: str = "") -> str:
-    """Name of a quantity for people: "arm.position_x"; "gravity" where nothing owns it."""
+    """Join the parts of a name for people; the result is never parsed.
+
+    >>> joined("arm", "position", "x"), joined("", "energy")
+    ('arm.position_x', 'energy')
+    """
     name = f"{owner}.{quantity}" if owner else quantity
     return f"{name}_{component}" if component else name
 
 
 def titled(name: str) -> str:
-    """Title of an axis that shows a quantity: "force local" of "joint.force_local"."""
+    """Return the axis title for a quantity: its name without owner and underscores.
+
+    >>> titled("joint.force_local")
+    'force local'
+    """
     return name.rpartition(".")[2].replace("_", " ")
 
 
 def near(name: object, known: Iterable[str]) -> str:
-    """Known names to list where `name` is not one of them: those of its owner, or else the first.
+    """List known names that `name` may have been meant for, as text for an error message.
+
+    These are the names with the same owner, the part before the dot; if there are none, all names.
+    At most 30 are listed.
 
     >>> near("arm.positon", ["arm.position", "arm.velocity", "base.position"])
     'arm.position, arm.velocity'
@@ -46,17 +58,21 @@ def near(name: object, known: Iterable[str]) -> str:
 
 
 def c_name(name: str) -> str:
-    """A name such as "joint.force_local" as part of a C identifier."""
+    """Return a name as part of a C identifier.
+
+    >>> c_name("joint.force_local")
+    'joint_force_local'
+    """
     return name.replace(".", "_")
 
 
 class Derivative(NamedTuple):
-    """What a function of a model differentiates.
+    """Which derivative a function of a model computes.
 
     Fields:
-        of: "ode", "alg", "out" or "zero".
-        by: one of "t", "x", "z", "u", "p" in a Jacobian; "" in the others, which are by
-            w = [x; z; u; p].
+        of: what is differentiated: "ode", "alg", "out" or "zero" (the zero functions of events).
+        by: one of "t", "x", "z", "u", "p" for a Jacobian; "" for the other kinds, which
+            differentiate by w = [x; z; u; p].
         kind: "jacobian", "hessian", "forward" or "adjoint".
     """
 
@@ -66,7 +82,7 @@ class Derivative(NamedTuple):
 
 
 def derivative(function: str) -> Derivative | None:
-    """What the function of that name differentiates, None if it is not a derivative.
+    """Return which derivative the function with this name computes; None if it is not a derivative.
 
     >>> derivative("dode_dx")
     Derivative(of='ode', by='x', kind='jacobian')
@@ -79,19 +95,26 @@ def derivative(function: str) -> Derivative | None:
 
 
 def check_identifier(name: object, where: str) -> str:
-    """Return the name if it can safely be a C identifier and part of a file name.
+    """Return the name if it is safe as a C identifier and as part of a file name.
+
+    Arguments:
+        name: what the user gave.
+        where: beginning of the error message, such as "body".
 
     Raises:
-        ValueError: it is empty, too long, not an ASCII identifier, a C or C++ keyword, a name
-            CasADi refuses, or starts, ends or doubles an underscore.
+        ValueError: the name is empty, longer than 63 characters or not an ASCII identifier; is a
+            keyword of C or C++ or a name that CasADi refuses; or starts or ends with an underscore
+            or has two in a row.
     """
     rule = None
     if not isinstance(name, str) or not name.isascii() or not name.isidentifier():
         rule = "a name is an ASCII identifier (letters, digits, single underscores)"
     elif name in _C_WORDS:
         rule = "the word is reserved in C, C++ or CasADi"
+    # CasADi refuses double underscores; joining with `_` can make one of a leading or trailing one.
     elif "__" in name or name.startswith("_") or name.endswith("_"):
-        rule = "underscores stand single and inside the name"
+        rule = "underscores are single, and neither first nor last"
+    # C99 guarantees 63 significant characters of an internal identifier (5.2.4.1).
     elif len(name) > 63:
         rule = "C distinguishes 63 characters of a name"
     if rule:

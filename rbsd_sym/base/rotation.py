@@ -1,13 +1,13 @@
-"""Rotations: quaternions, rotation vectors, Tait-Bryan xyz angles, the half rotation.
+"""Rotations: quaternions, rotation vectors, Tait-Bryan xyz angles, and the half rotation.
 
-Every function takes CasADi SX, MX or DM (numpy arrays are read as DM) and returns the same kind.
-Quaternions are (4, 1), scalar first; q and -q are one rotation, and every function of a quaternion
-except `quat_rate` is indifferent to its norm, so that norm drift cannot change the dynamics.
-R_AB turns components in B into components in A.
+Every function takes CasADi SX, MX or DM (numpy arrays are read as DM) and returns the same type.
+Quaternions are (4, 1), scalar first. q and -q are the same rotation. The functions of a quaternion,
+except `quat_rate` and `quarter`, give the same rotation for any norm, so that drift of the norm
+cannot change the dynamics. R_AB maps components in B to components in A.
 
-No function divides by an angle. The logarithms halve the angle until one power series serves from
-zero to pi, without a branch, so that derivatives of any order are right at rest; the exponential
-selects a series near zero and clamps the argument of the regular branch away from it.
+No function divides by an angle. The logarithms halve the angle until one power series holds from 0
+to pi, without a branch, so that derivatives of every order are exact at rest. The exponential uses
+a series near zero and keeps the argument of its regular branch away from zero.
 """
 
 from __future__ import annotations
@@ -18,23 +18,30 @@ import casadi as ca
 
 M = TypeVar("M", ca.SX, ca.MX, ca.DM)
 
+# Terms of the arctangent series in `_atan_remainder`.
 _TERMS = 13
 
 
 def dot3(a: M, b: M) -> M:
-    """Scalar product of two 3-vectors, written out so that structural zeros fold."""
+    """Return the scalar product of two 3-vectors, written out so that structural zeros vanish."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Any, b: Any) -> Any:
-    """Vector product of two 3-vectors (3, 1)."""
+    """Return the vector product a x b of two 3-vectors, (3, 1), written out like `dot3`."""
     return ca.vertcat(
         a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     )
 
 
 def quat_product(a: Any, b: Any) -> Any:
-    """Hamilton product: the rotation b, then a; q_AC = q_AB q_BC."""
+    """Return the Hamilton product a b (4, 1): the rotation b followed by a.
+
+    It composes as rotation matrices do, q_AC = q_AB q_BC, and its norm is the product of the norms.
+
+    >>> quat_product(ca.DM([0, 1, 0, 0]), ca.DM([0, 0, 1, 0]))
+    DM([0, 0, 0, 1])
+    """
     return ca.vertcat(
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -44,12 +51,16 @@ def quat_product(a: Any, b: Any) -> Any:
 
 
 def quat_conjugate(q: Any) -> Any:
-    """The opposite rotation (of any norm)."""
+    """Return the conjugate (4, 1): the inverse rotation, with the same norm."""
     return ca.vertcat(q[0], -q[1], -q[2], -q[3])
 
 
 def quat_matrix(q: Any) -> Any:
-    """Rotation matrix (3, 3) of a quaternion of any norm: R = 1 + 2 (w [v] + [v][v]) / q.q."""
+    """Return the rotation matrix (3, 3) of a quaternion of any norm.
+
+    R = 1 + 2 (w [v] + [v][v]) / q.q with q = (w, v) and [v] the cross-product matrix. The division
+    by q.q replaces a normalisation.
+    """
     w, x, y, z = (q[i] for i in range(4))
     s = 2 / (w * w + x * x + y * y + z * z)
     xx, yy, zz = s * x * x, s * y * y, s * z * z
@@ -63,11 +74,13 @@ def quat_matrix(q: Any) -> Any:
 
 
 def matrix_quat(R: Any) -> Any:
-    """Unit quaternion of a rotation matrix, from the largest of its four components.
+    """Return the unit quaternion (4, 1) of a rotation matrix (3, 3), accurate at every angle.
 
     The columns of the symmetric matrix 4 q q' are linear in R; the one with the largest diagonal
-    entry is normalised [Shepperd 1978]. Accurate at every angle.
+    entry is normalised [Shepperd 1978]. The sign of the result is the one that makes its largest
+    component positive.
     """
+    # 4 q q' written out in entries of R, column by column.
     columns = (
         (1 + R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]),
         (R[2, 1] - R[1, 2], 1 + R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]),
@@ -83,33 +96,45 @@ def matrix_quat(R: Any) -> Any:
 
 
 def quat_rate(q_WB: Any, w_WB_B: Any) -> Any:
-    """Time derivative of a quaternion: q' = q (0, w) / 2, w in body axes (rad/s)."""
+    """Return the time derivative (4, 1) of a quaternion: q' = q (0, w) / 2.
+
+    The norm of q is constant under this equation, whatever it is.
+
+    Arguments:
+        q_WB: quaternion (4, 1) from B to W.
+        w_WB_B: angular velocity of B in W, components in B, rad/s.
+    """
     return quat_product(q_WB, ca.vertcat(0, w_WB_B)) / 2
 
 
 def quat_upper(q: Any) -> Any:
-    """The unit quaternion with w >= 0 of the same rotation."""
+    """Return the unit quaternion with w >= 0 (the upper half sphere) of the same rotation.
+
+    It changes sign, and so jumps, where w crosses zero: at the angle pi.
+    """
+    # Not sign(w), which is 0 for w = 0.
     scale = (2 * (q[0] >= 0) - 1) / ca.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     return ca.vertcat(*(scale * q[i] for i in range(4)))
 
 
 def quarter(q: Any) -> Any:
-    """Vector u = tan(angle/4) axis of an upper unit quaternion, at most 1 long: v / (1 + w).
+    """Return the vector tan(angle/4) axis (3, 1) of a unit quaternion with w >= 0.
 
-    (1, u) is a quaternion of the half rotation; the logarithms are regular functions of u.
+    It is v / (1 + w), at most 1 long. (1, u) is a quaternion of the half rotation, and the
+    logarithms are regular functions of u.
     """
     return q[1:4] / (1 + q[0])
 
 
 def _atan_remainder(y: Any) -> Any:
-    """(1 - atan(t)/t) / t^2 for y = t^2 in 0 ... 1, without branch or cancellation.
+    """Return C(y) = (1 - atan(t)/t) / t^2 of y = t^2 in 0 ... 1, without branch or cancellation.
 
-    With s = 1 + sqrt(1 + y), atan(t) = 2 atan(t/s), so C(y) = (1 + 2 C(y/s^2) / s) / s^2. Two such
-    halvings bring t below tan(pi/16), where 13 terms of 1/3 - y/5 + y^2/7 - ... leave less than
-    epsilon of the value and of its first three derivatives.
+    With s = 1 + sqrt(1 + y), atan(t) = 2 atan(t/s), hence C(y) = (1 + 2 C(y/s^2) / s) / s^2. Two
+    such halvings bring t below tan(pi/16), where 13 terms of 1/3 - y/5 + y^2/7 - ... leave an error
+    below epsilon in the value and in its first three derivatives.
     """
-    # 2 / (2 x), because CasADi turns a product with 1 / x back into a division, and each derivative
-    # of a division divides again.
+    # Written 2 / (2 x) instead of 1 / x: CasADi turns a product with 1 / x back into a division,
+    # and every derivative of a division divides again.
     r1 = 2 / (2 + 2 * ca.sqrt(1 + y))
     y1 = y * (r1 * r1)
     r2 = 2 / (2 + 2 * ca.sqrt(1 + y1))
@@ -123,26 +148,34 @@ def _atan_remainder(y: Any) -> Any:
 
 
 def quarter_log(u: Any) -> Any:
-    """Rotation vector (3, 1) of u = tan(angle/4) axis: 4 atan(|u|) u / |u|."""
+    """Return the rotation vector (3, 1), rad, of u = tan(angle/4) axis: 4 atan(|u|) u / |u|."""
     y = dot3(u, u)
     return 4 * (1 - y * _atan_remainder(y)) * u
 
 
 def quat_log(q: Any) -> Any:
-    """Rotation vector (3, 1), angle 0 ... pi, of a quaternion of any norm and either sign.
+    """Return the rotation vector (3, 1), rad, of a quaternion of any norm and either sign.
 
-    [Sola 2018, eq. 105, with half angles]; it jumps at the angle pi.
+    Its length is the angle, 0 ... pi [Sola 2018, eq. 105, with half angles]. Derivatives of every
+    order are exact down to angle zero. At the angle pi the vector jumps to its opposite.
     """
     return quarter_log(quarter(quat_upper(q)))
 
 
 def quat_exp(th: Any) -> Any:
-    """Unit quaternion of a rotation vector: (cos(a/2), sin(a/2) th/a), a = |th|."""
+    """Return the unit quaternion (4, 1) of a rotation vector th (3, 1), rad, of any length.
+
+    It is (cos(a/2), sin(a/2) th/a) with a = |th|; near a = 0 by power series, so that derivatives
+    exist there as well.
+    """
     a2 = dot3(th, th)
     near = a2 < 0.1
+    # CasADi evaluates both branches of if_else, and derivatives multiply the unused one by zero, so
+    # that its argument must never be 0: 0 times infinity is NaN.
     half = ca.sqrt(ca.if_else(near, 1, a2)) / 2
     x = ca.if_else(near, a2, 0) / 4
-    # sin(h)/h and cos(h) in x = h^2 < 0.025; ten terms leave 1e-16 of the third derivative.
+    # Series of sin(h)/h and cos(h) in x = h^2 < 0.025; ten terms leave a relative error of 1e-16 in
+    # the third derivative.
     sinc, cosine = 1.0, 1.0
     for k in range(9, 0, -1):
         sinc = 1 - x * sinc / (2 * k * (2 * k + 1))
@@ -152,16 +185,27 @@ def quat_exp(th: Any) -> Any:
 
 
 def quat_half(q: Any) -> Any:
-    """A quaternion of the half rotation, exp(log(q) / 2), for angles up to pi; no trigonometry."""
+    """Return a quaternion (4, 1) of the half rotation, exp(log(q) / 2), without trigonometry.
+
+    The norm of the result is not 1. Like the logarithm it jumps at the angle pi.
+    """
     return ca.vertcat(1, quarter(quat_upper(q)))
 
 
 def se3_log(p: Any, q: Any) -> tuple[Any, Any]:
-    """Logarithm (v, th) of the rigid transformation (p, q): p = V(th) v, q = exp(th).
+    """Return the logarithm (v, th), m and rad, of the rigid transformation (p, q).
 
-    v = p - th x p / 2 + B th x (th x p), B = (1 - (a/2) cot(a/2)) / a^2, a = |th|
+    It solves p = V(th) v, q = exp(th):
+
+        v = p - th x p / 2 + B th x (th x p),  B = (1 - (a/2) cot(a/2)) / a^2,  a = |th|
+
     [Sola, Deray, Atchuthan 2018, eq. 174 and 176]. With t = tan(a/4), A = atan(t)/t and
-    C = (1 - A)/t^2 it is B = (A + C) / (16 A^2), regular from 0 to pi.
+    C = (1 - A)/t^2 this is B = (A + C) / (16 A^2), which is regular from 0 to pi. th jumps at
+    a = pi.
+
+    Arguments:
+        p: position (3, 1) of the second frame in the first, m.
+        q: quaternion (4, 1) of the second frame in the first, of any norm and sign.
     """
     u = quarter(quat_upper(q))
     y = dot3(u, u)
@@ -173,7 +217,7 @@ def se3_log(p: Any, q: Any) -> tuple[Any, Any]:
 
 
 def xyz_matrix(a: Any) -> Any:
-    """Rotation matrix of Tait-Bryan xyz angles: R = Rx(a0) Ry(a1) Rz(a2)."""
+    """Return the rotation matrix (3, 3) of Tait-Bryan xyz angles: R = Rx(a0) Ry(a1) Rz(a2)."""
     s0, s1, s2 = (ca.sin(a[i]) for i in range(3))
     c0, c1, c2 = (ca.cos(a[i]) for i in range(3))
     return ca.vertcat(
@@ -184,7 +228,11 @@ def xyz_matrix(a: Any) -> Any:
 
 
 def matrix_xyz(R: Any) -> Any:
-    """Tait-Bryan xyz angles of a rotation matrix; a1 in -pi/2 ... pi/2, singular at its ends."""
+    """Return the Tait-Bryan xyz angles (3, 1), rad, of a rotation matrix R = Rx(a0) Ry(a1) Rz(a2).
+
+    a0 and a2 lie in -pi ... pi, a1 in -pi/2 ... pi/2. At the ends of a1 (gimbal lock) only the sum
+    or difference of a0 and a2 is determined, and derivatives do not exist.
+    """
     return ca.vertcat(
         ca.atan2(-R[1, 2], R[2, 2]),
         ca.atan2(R[0, 2], ca.sqrt(R[0, 0] ** 2 + R[0, 1] ** 2)),
@@ -193,7 +241,7 @@ def matrix_xyz(R: Any) -> Any:
 
 
 def xyz_quat(a: Any) -> Any:
-    """Unit quaternion of Tait-Bryan xyz angles."""
+    """Return the unit quaternion (4, 1) of Tait-Bryan xyz angles, continuous in the angles."""
     q = [
         ca.vertcat(ca.cos(a[i] / 2), *(ca.sin(a[i] / 2) * (i == j) for j in range(3)))
         for i in range(3)
@@ -202,7 +250,12 @@ def xyz_quat(a: Any) -> Any:
 
 
 def xyz_rate(a: Any, w_WB_B: Any) -> Any:
-    """Rates of Tait-Bryan xyz angles from the angular velocity in body axes; singular at pi/2."""
+    """Return the rates (3, 1) of Tait-Bryan xyz angles, rad/s; singular at a1 = +-pi/2.
+
+    Arguments:
+        a: angles (3, 1), rad, of R_WB = Rx(a0) Ry(a1) Rz(a2).
+        w_WB_B: angular velocity of B in W, components in B, rad/s.
+    """
     s2, c2 = ca.sin(a[2]), ca.cos(a[2])
     rate0 = (c2 * w_WB_B[0] - s2 * w_WB_B[1]) / ca.cos(a[1])
     rate1 = s2 * w_WB_B[0] + c2 * w_WB_B[1]

@@ -1,4 +1,4 @@
-"""Eigenvalues and growth of linear motion x' = J x, also where rows have no inertia."""
+"""Eigenvalues and growth of linear systems M x' = J x in which some rows may have no inertia."""
 
 from __future__ import annotations
 
@@ -6,22 +6,37 @@ import math
 
 import numpy as np
 
-_INFINITE = 1e-4  # of an inverse eigenvalue times the shift
-_ROUNDING = 1e3 * float(np.finfo(float).eps)  # of a matrix and its eigenvalues, with room
+# |1 / (eigenvalue - shift)| times the shift, below which an eigenvalue counts as infinite.
+_INFINITE = 1e-4
+# Relative backward error of an eigenvalue computation, with a generous margin.
+_ROUNDING = 1e3 * float(np.finfo(float).eps)
 _TENFOLD = math.log(10.0)
-_TERMS = 12  # of the exponential's series, after scaling
+# Degree of the Taylor polynomial of the exponential, after scaling to a norm below 1/4.
+_TERMS = 12
 
 
 def finite_spectrum(block: np.ndarray, inertial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues of M x' = J x, M diagonal with 0 where a row has no inertia, and their errors.
+    """Return the finite eigenvalues of M x' = J x (1/s), and an error bound of each (1/s).
 
-    By inversion about a shift of the size of the spectrum; what lies 1e4 times further out is
-    infinite. A row of zeros without inertia is a direction that nothing decides, and counts as 0.
-    Errors are rounding times the condition of each eigenvalue, large for multiple ones (1/s).
+    M is diagonal, with 0 where a row has no inertia. The eigenvalues come from inverting about a
+    shift of the size of the spectrum; those 1e4 times larger than the shift count as infinite. A
+    row of zeros without inertia is a direction that nothing determines; it counts as an eigenvalue
+    0.
+
+    Arguments:
+        block: J (n, n).
+        inertial: for each row whether it is a rate (True) or a balance of forces (False), (n,).
+
+    Returns:
+        Eigenvalues (k,) and errors (k,). An error is rounding times the condition number of the
+        eigenvalue, so it is large for multiple eigenvalues.
     """
     mass = np.diag((inertial | ~block.any(axis=1)).astype(float))
     if mass.trace() == len(block):
         return _with_errors(block)
+    # For second-order systems the entries of J are squares of frequencies, so the root of the
+    # largest has the size of the spectrum. Eigenvalues w of (J - shift M)^-1 M are 1 / (s - shift);
+    # s = infinity becomes the harmless w = 0.
     shift = 1 + np.sqrt(np.abs(block).max())
     inverse, errors = _with_errors(np.linalg.pinv(block - shift * mass) @ mass)
     finite = np.abs(inverse) * shift > _INFINITE
@@ -29,6 +44,7 @@ def finite_spectrum(block: np.ndarray, inertial: np.ndarray) -> tuple[np.ndarray
 
 
 def _with_errors(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eigenvalues of A and their errors, by the condition of each eigenvalue."""
     values, right = np.linalg.eig(A)
     left = np.linalg.pinv(right)
     condition = np.linalg.norm(right, axis=0) * np.linalg.norm(left, axis=1)
@@ -36,9 +52,16 @@ def _with_errors(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def growth_rates(blocks: np.ndarray, inertial: np.ndarray) -> np.ndarray:
-    """Largest real part of the eigenvalues of each block (k, n, n), 0 within their rounding.
+    """Return the largest real part (1/s) of the eigenvalues of each block.
 
-    What rounding is, the block with the largest tells: conditions cost ten times the eigenvalues.
+    Real parts within the rounding error of their eigenvalue count as 0.
+
+    Condition numbers cost ten times the eigenvalues. If all rows have inertia they are computed
+    only for the block that grows fastest, and its rounding error is used for all.
+
+    Arguments:
+        blocks: Jacobians (k, n, n), such as those at k points of a trajectory.
+        inertial: as in `finite_spectrum`.
     """
     plain = inertial.all()
     rates = np.array(
@@ -46,6 +69,7 @@ def growth_rates(blocks: np.ndarray, inertial: np.ndarray) -> np.ndarray:
     )
     if not plain or not rates.any():
         return rates
+    # Multiple zero eigenvalues, common in rigid motion, come out as the square root of epsilon.
     worst = int(np.argmax(rates))
     rate, noise = _known(blocks[worst], inertial)
     rates[rates <= noise] = 0.0
@@ -58,21 +82,24 @@ def _largest(values: np.ndarray) -> float:
 
 
 def _known(block: np.ndarray, inertial: np.ndarray) -> tuple[float, float]:
-    """Largest real part beyond its error, and the largest that is rounding."""
+    """Return the largest real part that exceeds its error, and the largest that does not."""
     values, errors = finite_spectrum(block, inertial)
     certain = values.real > errors
     return _largest(values[certain]), _largest(values[~certain])
 
 
 def growth_exponent(t: np.ndarray, blocks: np.ndarray, frozen: float) -> float:
-    """Growth of x' = J(t) x from blocks at times t, as an exponent; 0 if there is none.
+    """Return by which exponent solutions of x' = J(t) x grow over the times t; 0 if they do not.
+
+    Eigenvalues of J(t) decide little where the eigenvectors rotate. The propagator, a product of
+    matrix exponentials, confirms their verdict if its growth reaches 80 % of `frozen` or a factor
+    of ten (neutral motion drifts in proportion to time). If taking every second time gives a
+    different result, the times are too far apart for a propagator, and `frozen` is returned.
 
     Arguments:
-        frozen: the integral of the largest real part over time, which tells little where the
-            eigenvectors turn. The spectral radius of the propagator must bear it out: agree with it
-            to a fifth, or tell of more than tenfold growth, since neutral motion drifts in
-            proportion to time. `frozen` stands where the times are too far apart for a propagator:
-            every second one gives another answer.
+        t: times (k,), s.
+        blocks: J at these times (k, n, n), 1/s.
+        frozen: integral over time of the largest real part of the eigenvalues of J(t).
     """
     fine, coarse = (_exponent(t[::k], blocks[::k]) for k in (1, 2))
     least = min(0.8 * frozen, _TENFOLD)
@@ -82,18 +109,20 @@ def growth_exponent(t: np.ndarray, blocks: np.ndarray, frozen: float) -> float:
 
 
 def _exponent(t: np.ndarray, blocks: np.ndarray) -> float:
-    """Midpoint exponentials, multiplied; the size is kept apart, so that nothing overflows."""
+    """Logarithm of the spectral radius of the propagator, by the exponential midpoint rule."""
     product, size = np.eye(blocks.shape[1]), 0.0
     for step, before, after in zip(np.diff(t), blocks[:-1], blocks[1:], strict=True):
         product = _exponential(step * (before + after) / 2) @ product
         norm = float(np.linalg.norm(product))
+        # The norm is split off as a logarithm, so that the product of many growing factors does not
+        # overflow.
         product, size = product / norm, size + math.log(norm)
     radius = float(np.abs(np.linalg.eigvals(product)).max())
     return size + math.log(max(radius, 1e-300))
 
 
 def _exponential(A: np.ndarray) -> np.ndarray:
-    """exp(A) by scaling, a Taylor polynomial, and squaring."""
+    """Return the matrix exponential by scaling, a Taylor polynomial of degree 12, and squaring."""
     halvings = max(0, math.ceil(math.log2(max(float(np.linalg.norm(A)), 1e-300))) + 2)
     A = A / 2.0**halvings
     result = term = np.eye(len(A))

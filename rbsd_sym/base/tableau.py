@@ -1,7 +1,7 @@
 """Coefficients of DOP853, the explicit Runge-Kutta pair of order 8(5, 3) with dense output.
 
-[Hairer, Norsett, Wanner 1993] Solving Ordinary Differential Equations I, sec. II.5 and II.10, and
-their code dop853.f. Each row maps the number of a stage to its coefficient; the others are zero.
+Source: [Hairer, Norsett, Wanner 1993], sections II.5 and II.10, and their code dop853.f. Each row
+maps the number of a stage to its coefficient; coefficients that are not listed are zero.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 N_STAGES = 12
-"""The slope at the end of a step is stage 12 of it, and stage 0 of the next."""
+"""Stages 0 ... 11 of a step; the slope at its end is stage 12, and stage 0 of the next step."""
 
 # fmt: off
 _NODES = {1: 0.05260015195876773, 2: 0.0789002279381516, 3: 0.1183503419072274,
@@ -52,6 +52,7 @@ _STAGES: tuple[dict[int, float], ...] = (
      14: -9.15095847217987},
 )
 
+# Solution of order 8 minus the embedded ones; the step size control combines both.
 _ERROR_5 = {0: 0.01312004499419488, 5: -1.2251564463762044, 6: -0.4957589496572502,
      7: 1.6643771824549864, 8: -0.35032884874997366, 9: 0.3341791187130175,
      10: 0.08192320648511571, 11: -0.022355307863886294}
@@ -81,6 +82,7 @@ _DENSE = (
 
 
 def _dense(rows: tuple[dict[int, float], ...]) -> np.ndarray:
+    """Return the rows as an array (number of rows, 16)."""
     out = np.zeros((len(rows), 16))
     for i, row in enumerate(rows):
         out[i, list(row)] = list(row.values())
@@ -90,8 +92,8 @@ def _dense(rows: tuple[dict[int, float], ...]) -> np.ndarray:
 C = _dense((_NODES,))[0]
 """Nodes (16,) of the 12 stages, the end, and 3 more for dense output."""
 A = _dense(_STAGES)
-"""Row s (16,) makes the argument of stage s; row 12 is the solution of order 8."""
+"""Row s (16,) holds the weights in the argument of stage s; row 12 is the solution of order 8."""
 E5, E3 = _dense((_ERROR_5, _ERROR_3))
-"""Differences from the embedded solutions of orders 5 and 3, over stages 0 to 12."""
+"""Weights (16,) of the differences from the embedded solutions of orders 5 and 3."""
 D = _dense(_DENSE)
-"""The last four coefficients of the interpolant of order 7, over all 16 stages."""
+"""Weights (4, 16) of the last four coefficients of the interpolant of order 7."""

@@ -1,1 +1,1 @@
-"""The waist: x' = ode, 0 = alg, y = out, with what their rows mean."""
+"""The waist of the package: a DAE x' = ode, 0 = alg, y = out, and what its rows mean."""

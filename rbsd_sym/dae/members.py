@@ -1,8 +1,8 @@
-"""What a `Dae` is made of: labels, parts, outputs, events, and what its motions mean.
+"""Members of a `Dae`: labels, parts, outputs, events, and what its coordinates mean.
 
-Each part is one kernel with the states it reads and the rows it adds to. Kernels are shared by all
-instances of a kind: Function (t, x, z, c) -> results, over the states and unknowns that an instance
-reads and its column of constants c.
+A kernel is a CasADi Function (t, x, z, c) -> results, over the states and unknowns that an instance
+reads and its column c of constants. All instances of a kind share it, which keeps expressions and
+generated C small.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ from ..base.names import joined
 
 @dataclass(frozen=True)
 class Label:
-    """What one entry of x, z, u, p or y is, with its unit and start (or default) value.
+    """Name, unit and start (or default) value of one entry of x, z, u, p or y.
 
     Fields:
-        owner: the body, connector, ... that it belongs to; "" for what belongs to the whole scene.
-        quantity: such as "p", "q" or "force_local"; of an Input or Param its name.
+        owner: body, connector or other element that it belongs to; "" if it belongs to the whole
+            scene.
+        quantity: such as "p", "q" or "force_local"; for an Input or Param its name.
         component: such as "x"; "" for a scalar.
-        data: whether it is a state without rate, which only events and updates change.
+        unit: SI unit; "" without one.
+        start: start value of a state or unknown, default value of an input or parameter.
+        data: whether it is a data state: its rate is zero, and only events and updates change it.
 
     >>> Label("arm", "p", "x", "m").name
     'arm.p_x'
@@ -42,17 +45,20 @@ class Label:
 
     @cached_property
     def name(self) -> str:
-        """The label in one word, for people; nothing is read back from it."""
+        """The parts joined for people; nothing is ever read back from it."""
         return joined(self.owner, self.quantity, self.component)
 
 
 @dataclass(frozen=True)
 class Instance:
-    """One instance of a kernel: kernel(t, x[reads], z[reads_z], constants).
+    """One use of a shared kernel: kernel(t, x[reads], z[reads_z], constants).
 
     Arguments:
-        kernel: Function (t, x, z, c) -> results, shared by all instances of a kind.
-        constants: column over (t, u, p); plain numbers fold into the code.
+        name: element that it belongs to, for messages.
+        kernel: Function (t, x, z, c) -> results.
+        reads: rows of the states of the full scene.
+        reads_z: rows of z.
+        constants: column c over t, u and p; plain numbers fold into the code.
     """
 
     name: str
@@ -64,10 +70,12 @@ class Instance:
 
 @dataclass(frozen=True)
 class Part(Instance):
-    """Adds to rates and equations.
+    """A contribution to rates and equations: a body, a load or a connector.
 
     Arguments:
-        kernel: gives (what is added to `ode_rows`, to `alg_rows`).
+        kernel: returns what is added to `ode_rows`, and what is added to `alg_rows`.
+        ode_rows: rows of the states of the full scene.
+        alg_rows: rows of alg.
     """
 
     ode_rows: tuple[int, ...]
@@ -75,23 +83,26 @@ class Part(Instance):
 
     @cached_property
     def numbers(self) -> np.ndarray:
-        """The constants, NaN where they are symbolic."""
+        """The constants as floats (n,), NaN where they are symbolic."""
         return numbers_of(self.constants)
 
     @cached_property
     def signature(self) -> tuple[bytes, tuple[str, ...]]:
-        """What equal constants have in common, to be compared."""
+        """A hashable value; parts have equal constants exactly if it is equal."""
+        # NaNs have equal bytes, so that the numbers compare as bytes; symbolic entries compare by
+        # their text.
         symbolic = np.flatnonzero(np.isnan(self.numbers))
         return self.numbers.tobytes(), tuple(str(self.constants[int(i)]) for i in symbolic)
 
 
 def pick(column: ca.SX, index: Sequence[int]) -> ca.SX:
-    """Entries of a column as a column, also none of them."""
+    """Return the given entries of a column as a column; (0, 1) if there are none."""
     return column[list(index)] if index else ca.SX(0, 1)
 
 
 def numbers_of(column: ca.SX) -> np.ndarray:
-    """Entries of a column as numbers, NaN where they are symbolic."""
+    """Return the entries of a column as floats (n,), NaN where they are symbolic."""
+    # The common case, and much faster than entry by entry.
     if column.is_constant():
         return np.array(ca.DM(column)).reshape(-1)
     entries = ca.vertsplit(column) if column.numel() else []
@@ -102,7 +113,12 @@ def numbers_of(column: ca.SX) -> np.ndarray:
 class Output:
     """A named quantity: value = kernel(t, x[reads], z[reads_z], constants), built on demand.
 
-    `build` gives the kernel, which all instances of a kind share, and the constants.
+    Arguments:
+        owner, quantity, unit, components: see `Label`; one component per entry of the value.
+        shape: shape of the value at one time; () for a scalar.
+        build: function that returns the kernel, which all instances of a kind share, and the
+            constants.
+        reads, reads_z: rows of the states of the full scene, and of z.
     """
 
     owner: str
@@ -116,7 +132,7 @@ class Output:
 
     @property
     def name(self) -> str:
-        """Such as "joint.force_local"; of a quantity of the scene the bare quantity."""
+        """Such as "joint.force_local"; without an owner just the quantity, such as "energy"."""
         return joined(self.owner, self.quantity)
 
     @property
@@ -126,7 +142,7 @@ class Output:
 
 
 class RotationKind(Enum):
-    """How coordinates describe a rotation R_WB, with their rates for w, the velocity in B."""
+    """How coordinates describe a rotation R_WB; w is the angular velocity in B."""
 
     quaternion = "unit quaternion (w, x, y, z), scalar first; q' = q (0, w) / 2"
     tait_bryan = "Tait-Bryan angles x, y, z; R = Rx Ry Rz"
@@ -134,7 +150,14 @@ class RotationKind(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Outputs(Mapping[str, Output]):
-    """Outputs by name; `aliases` are more names for some of them, by which they are found, too."""
+    """Outputs by name, found under additional names as well.
+
+    Iteration and length count every output once, under its own name.
+
+    Arguments:
+        named: outputs by their names.
+        aliases: further names, each with the name of the output it means.
+    """
 
     named: Mapping[str, Output]
     aliases: Mapping[str, str]
@@ -151,9 +174,13 @@ class Outputs(Mapping[str, Output]):
 
 @dataclass(frozen=True)
 class Rotation:
-    """Rows of the states that are a rotation, and of its angular velocity (in axes that turn).
+    """States that describe a rotation, for integrators and exports that treat rotations as such.
 
-    In a reduced model they are rows of the states of the full scene, as `Kinematics` has them.
+    Arguments:
+        owner: the body.
+        kind: what the coordinates are.
+        coordinates, velocity: rows of the states of the full scene; the angular velocity is in axes
+            that turn with the body.
     """
 
     owner: str
@@ -164,13 +191,13 @@ class Rotation:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Coordinates and the velocities that move them: what Lie-group integrators need.
+    """Coordinates, and how velocities move them; what Lie-group integrators and projections need.
 
     Arguments:
         owner, quantity: what moves, such as "arm" and "rotation".
-        coordinates, velocities: rows of the states.
-        retract: Function (coordinates, step) -> coordinates moved by a tangent step, which is time
-            times velocity to first order: p + step, or R exp(step) for a rotation.
+        coordinates, velocities: rows of the states of the full scene.
+        retract: Function (coordinates, step) -> coordinates moved by a tangent step, which to first
+            order is time times velocity: p + step for a position, R exp(step) for a rotation.
     """
 
     owner: str
@@ -182,13 +209,14 @@ class Kinematics:
 
 @dataclass(frozen=True)
 class Transition(Instance):
-    """A zero function, and what happens when it falls through zero.
+    """An event: a zero function, and the change of states when it falls through zero.
 
     Arguments:
-        kernel: Function (t, x, z, c) -> (zero (1), change of the states in `rows`).
-        at_once: fires also where a start or another event leaves the function below zero; otherwise
-            it must have been above.
-        stops: ends the integration.
+        kernel: Function (t, x, z, c) -> (zero function (1), change of the states in `rows`).
+        rows: states of the full scene that change.
+        at_once: whether it also fires where the start or another event leaves the function below
+            zero; otherwise the function must have been above zero before.
+        stops: whether it ends the integration.
     """
 
     rows: tuple[int, ...]
@@ -198,11 +226,12 @@ class Transition(Instance):
 
 @dataclass(frozen=True)
 class Hold(Instance):
-    """A row of alg that holds a quantity where it is: alg[row] += weight d(value)/dt.
+    """A row of alg that keeps a quantity constant: alg[alg_row] += weight d(value)/dt.
 
     Arguments:
         kernel: Function (t, x, z, c) -> (value, weight). The value depends on t and x only; Inputs
             count as constant.
+        alg_row: the row of alg.
     """
 
     alg_row: int
@@ -210,11 +239,11 @@ class Hold(Instance):
 
 @dataclass(frozen=True)
 class Update(Instance):
-    """What is asked of data states after a step was solved.
+    """A function that is called after every accepted step and may change data states.
 
     Arguments:
-        kernel: Function (t, x, z, c) -> (error, recommended step (s), new data).
-        rows: the data states.
+        kernel: Function (t, x, z, c) -> (error, recommended step in s, new data).
+        rows: the data states, rows of the states of the full scene.
     """
 
     rows: tuple[int, ...]
@@ -222,11 +251,13 @@ class Update(Instance):
 
 @dataclass(frozen=True)
 class Balance:
-    """A motion without inertia: its rows of `ode` hold a force or torque, which must vanish.
+    """A motion without inertia: its rows of ode hold a force or torque, which must vanish.
 
     Arguments:
-        coordinates, velocities: rows of the motion; coordinates' = kinematics(both).
-        idle: those of the velocities that have no inertia.
+        name: such as "arm.x" or "arm.rotation", for messages.
+        coordinates, velocities: rows of the motion; coordinates' = kinematics(coordinates,
+            velocities).
+        idle: those rows of the velocities that have no inertia.
         kinematics: Function (coordinates, velocities) -> rates, linear in the velocities.
     """
 
@@ -237,12 +268,13 @@ class Balance:
     kinematics: ca.Function
 
     def basis(self, coordinates: ca.SX) -> ca.SX:
-        """Rates of the coordinates for unit velocities, a column each."""
+        """Return the rates of the coordinates for unit velocities, one column per velocity."""
+        # The kinematics is linear in the velocities: its matrix has one column per unit velocity.
         units = ca.horzsplit(ca.SX.eye(len(self.velocities)))
         return ca.horzcat(*(self.kinematics(coordinates, unit) for unit in units))
 
     def away(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Symbols of coordinates and start, and the way between along each velocity."""
+        """Return symbols of coordinates and start, and their difference along each velocity."""
         c, start = (ca.SX.sym(name, len(self.coordinates)) for name in ("c", "start"))
         return c, start, self.basis(c).T @ (c - start)
 
@@ -252,7 +284,7 @@ class Parameters(NamedTuple):
 
     Fields:
         used, idle: their labels; idle ones may act on outputs that were not requested.
-        symbols: column of both.
+        symbols: SX column of both.
     """
 
     used: tuple[Label, ...]
@@ -261,5 +293,5 @@ class Parameters(NamedTuple):
 
     @property
     def labels(self) -> tuple[Label, ...]:
-        """Labels of both."""
+        """Labels of both, in the order of `symbols`."""
         return (*self.used, *self.idle)

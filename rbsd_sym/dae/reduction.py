@@ -1,4 +1,4 @@
-"""What passes left out of a model, and the way to judge it."""
+"""What the passes left out of a model, and the Jacobian that shows whether that was harmless."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import casadi as ca
 
 @dataclass(frozen=True)
 class Dropped:
-    """A state that is not in the model, its default value, and why it is not."""
+    """A state of the full scene that is not in the model, its default value, and the reason."""
 
     name: str
     value: float
@@ -20,9 +20,13 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Replaced:
-    """A state of the full scene that follows from states of the model, and how.
+    """A state of the full scene that follows from states of the model.
 
-    `is_rate` marks the velocity of a motion without inertia: the rate of its coordinates.
+    Arguments:
+        name: of the state.
+        how: formula, or what it depends on.
+        is_rate: whether it is the velocity of a motion without inertia, the rate of its
+            coordinates.
     """
 
     name: str
@@ -32,15 +36,18 @@ class Replaced:
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """What a pass left out, and what is needed to judge it.
+    """Account of a reduction: what was left out, and what is needed to judge it.
+
+    Leaving out states that never move is exact, but the motion may be unstable against disturbances
+    of them (buckling, for example); `transverse` shows that.
 
     Arguments:
-        dropped: the states that are gone; first those that never move, in the order of
-            `transverse`.
-        replaced: the states that follow from others.
-        inertial: for each state that never moves whether its row is a rate, or a force that must
-            vanish.
-        build, probe: make `transverse` and `suspects`, when first asked for.
+        dropped: states that are gone; first those that never move, in the order of `transverse`.
+        replaced: states that follow from others.
+        inertial: for each state that never moves, whether its row is a rate (True) or a force that
+            must vanish.
+        build, probe: functions that make `transverse` and `suspects` when these are first asked
+            for.
     """
 
     dropped: tuple[Dropped, ...]
@@ -51,17 +58,18 @@ class Reduction:
 
     @cached_property
     def transverse(self) -> ca.Function:
-        """Jacobian of the dropped rates by the dropped states, on the kept manifold.
+        """Jacobian (n, n) of the dropped rates by the dropped states, on the motion that was kept.
 
-        Function (t, x, z, u, p). The full Jacobian is block triangular there, so its spectrum and
-        that of the small model together are the full one (but for one zero, the norm of the
-        quaternion, where an angle stands for it).
+        It is a Function of (t, x, z, u, p), with idle parameters at the end of p. On that motion
+        the full Jacobian is block triangular, so that its spectrum is that of the small model
+        together with that of this block (except for a zero, the norm of a quaternion, where an
+        angle replaced it).
         """
         return self.build()
 
     @cached_property
     def suspects(self) -> tuple[str, ...]:
-        """States that random probing sees at rest, but that no proof allows to leave out."""
+        """States that random probing finds at rest, although no proof allows leaving them out."""
         return self.probe()
 
     @cached_property

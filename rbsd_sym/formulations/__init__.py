@@ -1,4 +1,4 @@
-"""Formulations: a scene as a `Dae`; one file per choice of coordinates."""
+"""Formulations: write a scene as a `Dae`; one file per choice of coordinates."""
 
 from .audit import ModelWarning
 from .quaternion import Quaternion

@@ -1,4 +1,4 @@
-"""What an engineer should be told about a scene before it is integrated."""
+"""Findings about a scene that an engineer should know before integrating it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,27 @@ from ..base.checks import at_default
 from ..scene.elements import RigidBodySpringDamper
 from ..scene.scene import Scene
 
-_SOFT = 1e-2  # an axis softer than this, relative to the two others, is a hinge
+# A rotation axis softer than this fraction of the two others counts as a hinge.
+_SOFT = 1e-2
 
 
 class ModelWarning(UserWarning):
-    """A scene that can be built, but may not behave as its author expects."""
+    """Warning about a scene or a run that is possible, but may not behave as its author expects.
+
+    Examples are a hinge about an axis for which the law is not valid, and motion that was left out
+    of a minimal model although disturbances of it grow. To turn such a warning into an error:
+
+        warnings.simplefilter("error", rs.ModelWarning)
+    """
 
 
 def audit(scene: Scene) -> tuple[str, ...]:
-    """Notes on the connectors; a hinge about a wrong axis is warned of as well."""
+    """Return notes on the connectors of a scene, with every symbol at its default value.
+
+    They name connectors that are not active, hinges about an axis for which the law is not valid,
+    and matrices that are unsymmetric or indefinite. Connectors with a user force are not examined.
+    For an invalid hinge a `ModelWarning` is issued as well.
+    """
     notes: list[str] = []
     for connector in scene.connectors:
         if connector.idle:
@@ -36,22 +48,24 @@ def audit(scene: Scene) -> tuple[str, ...]:
 
 
 def _wrong_hinge(connector: RigidBodySpringDamper) -> str:
+    """Return what is wrong with a hinge about an axis that the law does not allow, or ""."""
     stiffness = np.abs(np.diag(at_default(connector.stiffness))[3:])
     for axis in connector.law.soft_axes_with_trouble:
         others = np.delete(stiffness, axis)
         if stiffness[axis] < _SOFT * others.min():
-            fate = ("flutters", "jumps at 90 degrees", "")[axis]
+            failure = ("flutters", "jumps at 90 degrees", "")[axis]
             return (
                 f"connector '{connector.name}': {type(connector.law).__name__} law with a soft "
                 f"rotation axis, local {'xyz'[axis]} ({stiffness[axis]:.3g} N m/rad beside "
-                f"{others.min():.3g}); such a hinge {fate} at large angles; turn the joint frame "
-                "so that its z is the hinge axis (rotation_marker0, rotation_marker1), or use "
-                "law=Consistent()"
+                f"{others.min():.3g}); such a hinge {failure} at large angles; turn the joint "
+                "frame so that its z is the hinge axis (rotation_marker0, rotation_marker1), or "
+                "use law=Consistent()"
             )
     return ""
 
 
 def _definiteness(name: str, title: str, matrix: np.ndarray) -> list[str]:
+    """Return notes on a matrix that is unsymmetric or not positive semidefinite."""
     notes, scale = [], float(np.abs(matrix).max())
     skew = float(np.abs(matrix - matrix.T).max())
     if skew > 1e-12 * scale:

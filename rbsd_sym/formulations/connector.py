@@ -33,7 +33,13 @@ from .reaction import Kind, Reaction
 
 @dataclass(frozen=True, eq=False)
 class ConnectorWriter:
-    """One connector of a scene; kernels are kept in the shared cache."""
+    """Writes one connector of a scene as members of a `Dae`.
+
+    Arguments:
+        layout: rows and coordinates of the scene.
+        index: which connector of the scene.
+        cache: kernels by kind and purpose, shared by all connectors of the scene.
+    """
 
     layout: Layout
     index: int
@@ -41,17 +47,17 @@ class ConnectorWriter:
 
     @property
     def connector(self) -> RigidBodySpringDamper:
-        """The element."""
+        """The element in the scene."""
         return self.layout.scene.connectors[self.index]
 
     @cached_property
     def carriers(self) -> list[int]:
-        """Indices of the bodies it touches."""
+        """Indices of the moving bodies it touches."""
         return self.layout.carriers(self.connector.marker0, self.connector.marker1)
 
     @cached_property
     def reads(self) -> tuple[int, ...]:
-        """Rows of the states it reads: its bodies', its own."""
+        """Rows of the states it reads: those of its bodies, then its own."""
         return (*(row for i in self.carriers for row in self.layout.rows(i)), *self.own_rows)
 
     @property
@@ -61,7 +67,7 @@ class ConnectorWriter:
 
     @property
     def reads_z(self) -> tuple[int, ...]:
-        """Rows of its unknown forces."""
+        """Rows of its unknown forces in z."""
         return self.layout.unknown_rows(self.index)
 
     @property
@@ -77,7 +83,7 @@ class ConnectorWriter:
 
     @property
     def quantities(self) -> list[Quantity]:
-        """What can be asked of it: what every connector has, and the force of each effect."""
+        """Quantities that can be asked of it; those of every connector, and each effect's force."""
         forces = [
             effect_force(i, effect.label, "N m" if effect.axis > 2 else "N")
             for i, effect in enumerate(self._effects)
@@ -87,7 +93,9 @@ class ConnectorWriter:
 
     @cached_property
     def kind(self) -> Kind:
-        """Law, places, user functions and structure of the effects."""
+        """What it must have in common with another connector to share kernels."""
+        # Bodies are numbered within the connector, so that connectors between different bodies can
+        # be of one kind.
         places = tuple(
             None if m.body == GROUND else self.carriers.index(self.layout.index(m.body))
             for m in (self.connector.marker0, self.connector.marker1)
@@ -116,6 +124,7 @@ class ConnectorWriter:
             (connector.rotation_marker0, connector.rotation_marker1),
             strict=True,
         )
+        # A connector that never acts has outputs, but no stiffness and no part.
         acting = 0.0 if connector.idle else 1.0
         return ConnectorConstants(
             tuple(
@@ -134,7 +143,7 @@ class ConnectorWriter:
 
     @cached_property
     def constants(self) -> ca.SX:
-        """Column of its constants."""
+        """Column of its constants (n, 1), in the order of `ConnectorConstants`."""
         return self._named.column
 
     @property
@@ -147,7 +156,7 @@ class ConnectorWriter:
 
     @property
     def _changes(self) -> tuple[int, ...]:
-        """Rows that its events may change."""
+        """Rows that its events may change: velocities of its bodies, and its own states."""
         velocities = (row for i in self.carriers for row in self.layout.velocity_rows(i))
         return (*velocities, *self.own_rows)
 
@@ -156,15 +165,15 @@ class ConnectorWriter:
         return self.reads, self.reads_z, self.constants
 
     def part(self) -> Part:
-        """Its contribution to the accelerations of its bodies and the rates of its own states."""
+        """Return its contribution to its bodies' accelerations and its own states' rates."""
         kernel = self._kept("rates", lambda: self.reaction.rates())
         return Part(self.connector.name, kernel, *self._place, self._changes, self.reads_z)
 
     def holds(self) -> list[Hold]:
-        """What its effects hold.
+        """Return the quantities that its effects keep constant, such as a sticking velocity.
 
         Raises:
-            ValueError: a body without inertia, which cannot be held or hit.
+            ValueError: an effect holds or hits a body without inertia.
         """
         self._check_inertia()
         found: list[Hold] = []
@@ -189,7 +198,11 @@ class ConnectorWriter:
                 )
 
     def events(self) -> list[Transition]:
-        """Being switched, the events of its effects, in order, then those of the user."""
+        """Return its switching on and off, its effects' events in order, then those of the user.
+
+        Raises:
+            ValueError: two events have the same name.
+        """
         name, found, names = self.connector.name, list[Transition](), list[str]()
         if self.kind.switches:
             kernel = self._kept("switch", lambda: self.reaction.switch())
@@ -217,7 +230,7 @@ class ConnectorWriter:
         return found
 
     def updates(self) -> list[Update]:
-        """The user's post_newton_step."""
+        """Return the user's post_newton_step as an update; nothing if there is none."""
         if self.kind.functions.post_newton is None:
             return []
         kernel = self._kept("update", lambda: self.reaction.update())
@@ -225,7 +238,10 @@ class ConnectorWriter:
         return [Update(self.connector.name, kernel, *self._place, rows)]
 
     def measure(self, quantity: Quantity) -> tuple[ca.Function, ca.SX]:
-        """Kernel and constants of a quantity: the constants and their explicit time derivative."""
+        """Return kernel and constants of a quantity.
+
+        The constants are those of the connector, followed by their explicit time derivatives.
+        """
         rates = ca.jacobian(self.constants, TIME.expr)
         kernel = self._kept(quantity, lambda: self.reaction.measure(quantity))
         return kernel, ca.densify(ca.vertcat(self.constants, rates))

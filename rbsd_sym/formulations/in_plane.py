@@ -1,4 +1,4 @@
-"""The smallest model of a scene, also where its plane of motion is no coordinate plane."""
+"""The smallest model of a scene, also if its plane of motion is not a coordinate plane."""
 
 from __future__ import annotations
 
@@ -20,22 +20,38 @@ from .plane import Plane, planes
 
 
 class Formulation(Protocol):
-    """A choice of coordinates: writes a scene as a `Dae`, and is the coordinates of its layout."""
+    """A choice of coordinates that can write a scene as a `Dae`.
+
+    `Quaternion` and `TaitBryan` are the two; a formulation also serves as the `Coordinates` of a
+    `Layout`.
+    """
 
     def write(self, scene: Scene) -> Dae:
-        """The scene as a `Dae`."""
+        """Return the scene as a `Dae`."""
         ...
 
 
 def smallest(scene: Scene, formulation: Any) -> tuple[Dae, Reduction]:
-    """The reduced model; written in the axes of a plane of motion where that makes it smaller."""
+    """Return the smallest model of a scene, and the account of what was left out.
+
+    The passes of `minimal` recognise planar motion only if its normal is a world axis. If a body
+    keeps more than one rotation coordinate, the scene is written again in the axes of each
+    candidate plane, and the smallest result is kept; its states are mapped back to those of the
+    original scene.
+
+    Arguments:
+        scene: the scene.
+        formulation: a `Formulation`.
+    """
     full = formulation.write(scene)
     small = core(full)
     best = (full, small, small, 0)
     if _turns_freely(scene, formulation, small):
         for plane in planes(scene):
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", ModelWarning)  # of this scene they are out
+                # The first `write` has issued the warnings of this scene already.
+                warnings.simplefilter("ignore", ModelWarning)
+                # Expensive, and therefore only for scenes in which some body turns freely.
                 other = formulation.write(plane.scene)
             flat = core(other)
             if _size(flat) < _size(best[1]):
@@ -49,34 +65,43 @@ def _size(dae: Dae) -> int:
 
 
 def _turns_freely(scene: Scene, formulation: Any, small: Dae) -> bool:
-    """Whether a body has kept more than one coordinate of its rotation."""
-    layout, way = Layout(scene, formulation), small.expansion
-    if way is None:
+    """Return whether some body has kept more than one rotation coordinate."""
+    layout, expansion = Layout(scene, formulation), small.expansion
+    if expansion is None:
         return False
     moving = ca.vertcat(small.x, small.z)
-    states = ca.vertsplit(way.states)
+    states = ca.vertsplit(expansion.states)
     for i in range(len(scene.bodies)):
+        # The rotation coordinates; where the planar pass has found an angle, at most one of them is
+        # still a state of its own.
         rows = layout.rows(i)[3:-6]
         live = [row for row in rows if states[row].is_symbolic()]
-        if len(live) > 1 and ca.depends_on(way.states[live], moving):
+        if len(live) > 1 and ca.depends_on(expansion.states[live], moving):
             return True
     return False
 
 
 def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
-    """The model in the axes of a plane, with the states of the original scene before its own."""
-    way, n = flat.expansion, full.x.numel()
-    if way is None:
-        raise ValueError(f"model '{full.name}': not reduced")
-    renamed = _labels(plane, layout, way)
-    labels = {old.name: new for old, new in zip(way.labels, renamed, strict=True)}
-    measured = flat.measured if way.followers else flat.states
+    """Return the model in the axes of a plane, as a reduction of the original scene.
+
+    Its full states are those of the original scene, n rows, followed by those of the scene in the
+    plane, so that outputs of the original scene and parts of the other both find what they read.
+    """
+    expansion, n = flat.expansion, full.x.numel()
+    if expansion is None:
+        raise ValueError(f"model '{full.name}': not reduced; apply `minimal.core` first")
+    renamed = _labels(plane, layout, expansion)
+    labels = {old.name: new for old, new in zip(expansion.labels, renamed, strict=True)}
+    measured = flat.measured if expansion.followers else flat.states
     bodies = layout.size * len(plane.turned)
-    states = ca.vertcat(plane.way_back(layout, measured[:bodies]), measured[bodies:n], way.states)
+    states = ca.vertcat(
+        plane.way_back(layout, measured[:bodies]), measured[bodies:n], expansion.states
+    )
     x, z = (
         ca.vertcat(ca.SX(0, 1), *(ca.SX.sym(labels[label.name].name) for label in own))
         for own in (flat.x_labels, flat.z_labels)
     )
+    # The symbols take the names of the new labels, since code and messages show them.
     states = ca.substitute(states, ca.vertcat(flat.x, flat.z), ca.vertcat(x, z))
     nothing: tuple[int | None, ...] = (None,) * n
     normal = ", ".join(f"{v:.6g}" for v in plane.normal)
@@ -88,12 +113,16 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
         z_start=flat.z_start,
         x_labels=tuple(labels[label.name] for label in flat.x_labels),
         z_labels=tuple(replace(labels[label.name], start=label.start) for label in flat.z_labels),
-        parts=tuple(_shifted(part, n) for part in flat.parts),
+        parts=tuple(_moved_part(part, n) for part in flat.parts),
         events=tuple(_moved(event, n) for event in flat.events),
         holds=tuple(_moved(hold, n) for hold in flat.holds),
         updates=tuple(_moved(update, n) for update in flat.updates),
         motions=tuple(
-            replace(m, coordinates=_plus(m.coordinates, n), velocities=_plus(m.velocities, n))
+            replace(
+                m,
+                coordinates=_further_down(m.coordinates, n),
+                velocities=_further_down(m.velocities, n),
+            )
             for m in flat.motions
         ),
         balances=(),
@@ -101,38 +130,48 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
         rotations=(
             *full.rotations,
             *(
-                replace(r, coordinates=_plus(r.coordinates, n), velocity=_plus(r.velocity, n))
+                replace(
+                    r,
+                    coordinates=_further_down(r.coordinates, n),
+                    velocity=_further_down(r.velocity, n),
+                )
                 for r in flat.rotations
             ),
         ),
         notes=(*flat.notes, f"the motion is planar, with normal ({normal})"),
         expansion=Expansion(
             states,
-            (*full.x_labels, *(labels[label.name] for label in way.labels)),
-            (*nothing, *way.rows),
-            (*nothing, *way.alg_rows),
+            (*full.x_labels, *(labels[label.name] for label in expansion.labels)),
+            (*nothing, *expansion.rows),
+            (*nothing, *expansion.alg_rows),
         ),
         source=f"minimal\n{full.source}",
     )
 
 
-def _plus(rows: tuple[int, ...], n: int) -> tuple[int, ...]:
+def _further_down(rows: tuple[int, ...], n: int) -> tuple[int, ...]:
     return tuple(row + n for row in rows)
 
 
-def _shifted(part: Part, n: int) -> Part:
-    return replace(part, reads=_plus(part.reads, n), ode_rows=_plus(part.ode_rows, n))
+def _moved_part(part: Part, n: int) -> Part:
+    return replace(
+        part, reads=_further_down(part.reads, n), ode_rows=_further_down(part.ode_rows, n)
+    )
 
 
 def _moved(item: Any, n: int) -> Any:
-    """An event, hold or update with the states it reads, and changes, n rows further down."""
-    changes = {} if isinstance(item, Hold) else {"rows": _plus(item.rows, n)}
-    return replace(item, reads=_plus(item.reads, n), **changes)
+    """Return an event, hold or update whose rows of full states are n further down."""
+    changes = {} if isinstance(item, Hold) else {"rows": _further_down(item.rows, n)}
+    return replace(item, reads=_further_down(item.reads, n), **changes)
 
 
-def _labels(plane: Plane, layout: Layout, way: Expansion) -> list[Label]:
-    """Labels of the states in the plane; those that mean what they do in the scene keep theirs."""
-    labels = list(way.labels)
+def _labels(plane: Plane, layout: Layout, expansion: Expansion) -> list[Label]:
+    """Return labels of the states in the plane.
+
+    A state that means the same as in the original scene keeps its label; the others are called
+    plane_<quantity>.
+    """
+    labels = list(expansion.labels)
     for i, turned in enumerate(plane.turned):
         rows, same = layout.rows(i), bool((turned == np.eye(3)).all())
         renamed = [] if plane.keeps_world else [*rows[:3], *rows[-6:-3]]

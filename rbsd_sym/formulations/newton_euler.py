@@ -1,6 +1,6 @@
-"""Newton-Euler equations about the centre of mass; the choice of rotation coordinates is open.
+"""Newton-Euler equations about the centre of mass, for any choice of rotation coordinates.
 
-m v' = f (world axes),  I w' + w x I w = tau (body axes).
+m v' = f (world axes),   I w' + w x I w = tau (body axes)
 """
 
 from __future__ import annotations
@@ -37,10 +37,15 @@ from .pack import (
 
 
 def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
-    """The scene as a `Dae`, one part for each body, load and active connector.
+    """Return the scene as a `Dae`, with one part for each body, load and active connector.
+
+    Arguments:
+        scene: the scene.
+        coordinates: rotation coordinates of its bodies.
+        formulation: name of the formulation, for the digest of the model.
 
     Raises:
-        ValueError: a singular inertia that is not zero about a body axis, an unknown output.
+        ValueError: an inertia that is singular other than about a body axis, or an unknown output.
     """
     for body in scene.bodies:
         _check_inertia(body)
@@ -81,11 +86,12 @@ def write(scene: Scene, coordinates: Coordinates, formulation: str) -> Dae:
 
 
 def _states(layout: Layout, acting: list[ConnectorWriter]) -> tuple[tuple[Label, ...], ca.SX]:
-    """Labels and start values: of the bodies, then of what connectors have of their own."""
+    """Return labels and start values: of the bodies, then of the connectors' own states."""
     scene = layout.scene
     labels = [label for body in scene.bodies for label in layout.labels(body)]
     own = [label for writer in acting for label in writer.labels]
     bodies = ca.vertcat(*(layout.start(body) for body in scene.bodies))
+    # Labels show numbers at the default values of Params; the start itself keeps the symbols.
     values = default_values(bodies, scene.params).reshape(-1)
     found = [replace(label, start=float(v)) for label, v in zip(labels, values, strict=True)]
     return (*found, *own), ca.vertcat(bodies, *(label.start for label in own))
@@ -96,12 +102,13 @@ def _column(leaves: tuple[Leaf, ...]) -> ca.SX:
 
 
 def _bodies(layout: Layout) -> list[Part]:
-    """Kinematics, gravity and gyroscopic torque of each body."""
+    """Return a part for each body: kinematics, gravity and gyroscopic torque."""
     x, c = ca.SX.sym("x", layout.size), ca.SX.sym("c", INERTIA + 3)
     inertia, inverse = ca.reshape(c[:9], 3, 3), ca.reshape(c[9:18], 3, 3)
     spin = -inverse @ gyroscopic(inertia, x[-3:])
     rates = ca.vertcat(layout.kinematic_rates(x)[:-6], c[INERTIA:], spin)
     function = kernel("body", x, c, rates, ca.SX(0, 1))
+    # Without mass the row holds a force, in which gravity has no part.
     gravity, none = to_expr(layout.scene.gravity), ca.SX(3, 1)
     return [
         Part(
@@ -153,7 +160,9 @@ def _check_inertia(body: RigidBody) -> None:
             "of the structure; write mass=0, inertia=0, or give the Param a positive default"
         )
     massless = axes_without_inertia(body)
+    # Axes without inertia become balances of torque; about the others the inertia is inverted.
     rest = np.delete(np.delete(at_default(body.inertia), massless, 0), massless, 1)
+    # A rod whose axis is oblique to the body frame has a singular inertia without a row of zeros.
     smallest = float(np.linalg.eigvalsh(rest)[0]) if rest.size else 1.0
     if smallest <= 1e-14 * float(np.abs(rest).max(initial=0.0)):
         raise ValueError(

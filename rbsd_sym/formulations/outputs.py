@@ -1,4 +1,4 @@
-"""Outputs of a scene: quantities of bodies, connectors and the whole, built when asked for."""
+"""Outputs of a scene: quantities of bodies, connectors and the whole, built on demand."""
 
 from __future__ import annotations
 
@@ -23,21 +23,29 @@ from .connector import ConnectorWriter
 from .layout import Layout, kernel
 from .pack import BODY, body_column
 
-_ALL_UP_TO = 10  # bodies and connectors; beyond it outputs are asked for by name
+# Number of bodies and connectors up to which all outputs are requested by default.
+_ALL_UP_TO = 10
 
 
 @dataclass(frozen=True, eq=False)
 class OutputWriter:
-    """Writes the outputs of a scene."""
+    """Writes the outputs of a scene.
+
+    Arguments:
+        layout: rows and coordinates of the scene.
+        connectors: writers of all connectors.
+        cache: kernels by quantity, shared by all bodies and connectors.
+    """
 
     layout: Layout
     connectors: tuple[ConnectorWriter, ...]
     cache: dict[Hashable, ca.Function]
 
     def write(self) -> Outputs:
-        """Every output by name: <body>.<quantity>, <connector>.<quantity>, <quantity>.
+        """Return every output by name: <body>.<quantity>, <connector>.<quantity>, <quantity>.
 
-        Those of connectors have their documented names as well.
+        Those of connectors are found by their documented names as well. An output costs nothing
+        until its `build` is called.
         """
         outputs: dict[str, Output] = {}
 
@@ -79,12 +87,13 @@ class OutputWriter:
         return Outputs(outputs, also)
 
     def requested(self, outputs: Outputs) -> tuple[str, ...]:
-        """Names of the outputs in `out`: those the scene asks for, or all of a small scene.
+        """Return the names of the outputs in y: those the scene asks for, or all of a small scene.
 
-        All of it but tangents and `active`, and what belongs to connectors that never act.
+        All of a small scene are those of at most 10 bodies and connectors, except tangents,
+        `active`, and what belongs to connectors that never act.
 
         Raises:
-            ValueError: an unknown name.
+            ValueError: the scene asks for an output that does not exist.
         """
         scene = self.layout.scene
         if scene.outputs is None:
@@ -120,6 +129,8 @@ class OutputWriter:
         x = ca.SX.sym("x", n + sum(len(w.own_rows) for w in self.connectors))
         z = ca.SX.sym("z", sum(len(w.reads_z) for w in self.connectors))
         columns = [to_expr(scene.gravity), *(body_column(body) for body in scene.bodies)]
+        # The kernel of each connector is called with symbols for its constants, which are appended
+        # to those of the bodies.
         stored, symbols = ca.SX(0), []
         summed = q.of_connectors
         for writer, part in ((w, summed) for w in self.connectors if summed is not None):

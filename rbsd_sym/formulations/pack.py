@@ -20,7 +20,7 @@ COMPLIANCE = 10  # 1 / mass, inverse inertia (9)
 BODY = 16  # mass, inertia (9), com (3), start position of the frame's origin (3)
 
 
-# As functions they are called in one go, which keeps the time per scene element short.
+# As CasADi Functions these are one call each, which keeps the build time per element short.
 _MATRIX = ca.SX.sym("A", 3, 3)
 _MATRIX_QUAT = ca.Function("matrix_quat", [_MATRIX], [matrix_quat(_MATRIX)])
 _INVERSE3 = ca.Function("inverse3", [_MATRIX], [inverse3(_MATRIX)])
@@ -28,7 +28,7 @@ _STILL = ca.SX.zeros(6)
 
 
 def rotation_pair(rotation: np.ndarray) -> tuple[ca.SX, ca.SX]:
-    """Matrix and quaternion of a checked rotation, which is either."""
+    """Return matrix (3, 3) and quaternion (4, 1) of a checked rotation, given as either."""
     value = to_expr(rotation)
     if rotation.shape == (4,):
         return quat_matrix(value), value
@@ -36,7 +36,7 @@ def rotation_pair(rotation: np.ndarray) -> tuple[ca.SX, ca.SX]:
 
 
 def _marker_function() -> ca.Function:
-    """Position and rotations of marker and joint -> the first 16 entries of its column."""
+    """Return a Function (position, rotations of marker and joint) -> first 16 entries."""
     p, A, B = ca.SX.sym("p", 3), ca.SX.sym("A", 3, 3), ca.SX.sym("B", 3, 3)
     q = quat_product(matrix_quat(A), matrix_quat(B))
     return ca.Function("marker", [p, A, B], [ca.vertcat(p, ca.vec(A @ B), q)])
@@ -46,14 +46,21 @@ _MARKER = _marker_function()
 
 
 def marker_column(marker: Marker, body: RigidBody | None, joint: np.ndarray | None = None) -> ca.SX:
-    """A marker relative to the centre of mass, with the joint's rotation and its own velocity.
+    """Return a marker as a column (22, 1): p, R, q and its own velocities v, w, all in body axes.
 
-    The velocity is the explicit derivative by TIME; Inputs count as held.
+    The position is relative to the centre of mass, the rotation includes that of the joint. The
+    velocities are the explicit derivatives by TIME; Inputs count as constant.
+
+    Arguments:
+        marker: the marker.
+        body: the body that carries it; None for the ground.
+        joint: rotation from joint frame to marker; None for none.
     """
     turned = np.eye(3) if joint is None else joint
     given = [marker.position, marker.rotation, turned, body.com if body else np.zeros(3)]
     if all(v.dtype != object for v in given) and marker.rotation.shape == turned.shape == (3, 3):
-        place = marker.position - given[3]  # numbers take the short way
+        # Plain numbers need no symbolic algebra.
+        place = marker.position - given[3]
         return ca.vertcat(ca.SX(_MARKER(place, marker.rotation, turned)), _STILL)
     R, q = rotation_pair(marker.rotation)
     if joint is not None:
@@ -65,23 +72,27 @@ def marker_column(marker: Marker, body: RigidBody | None, joint: np.ndarray | No
 
 
 def _velocity(p: ca.SX, R: ca.SX) -> ca.SX:
+    # R' R^T is the cross-product matrix of the angular velocity.
     spin = ca.reshape(ca.jacobian(ca.vec(R), TIME.expr), 3, 3) @ R.T
     w = ca.vertcat(spin[2, 1], spin[0, 2], spin[1, 0])
     return ca.densify(ca.vertcat(ca.jacobian(p, TIME.expr), w))
 
 
 def marker_of(c: ca.SX) -> MarkerOnBody:
-    """The marker of a column."""
+    """Return the marker that a column holds."""
     return MarkerOnBody(c[:3], ca.reshape(c[3:12], 3, 3), c[12:16], c[16:19], c[19:22])
 
 
 def has_mass(body: RigidBody) -> bool:
-    """Whether the mass is not a plain zero."""
+    """Return whether the mass is anything but a plain zero."""
     return not _is_plain_zero(body.mass)
 
 
 def axes_without_inertia(body: RigidBody) -> tuple[int, ...]:
-    """Body axes whose row of the inertia is plain zeros: all three, or the axis of a thin rod."""
+    """Return the body axes (0, 1, 2) whose row of the inertia consists of plain zeros.
+
+    All three for a body without inertia, one for a thin rod.
+    """
     return tuple(i for i in range(3) if all(_is_plain_zero(v) for v in body.inertia[i]))
 
 
@@ -90,15 +101,15 @@ def _is_plain_zero(value: object) -> bool:
 
 
 def inertia_column(body: RigidBody) -> ca.SX:
-    """Inertia, and the inverse that the rates use (see `compliance_column`)."""
+    """Return inertia and the inverse that the rates use, (18, 1); see `compliance_column`."""
     return ca.vertcat(ca.vec(to_expr(body.inertia)), compliance_column(body)[1:])
 
 
 def compliance_column(body: RigidBody) -> ca.SX:
-    """1 / mass and the inverse inertia: what turns a wrench into accelerations.
+    """Return 1 / mass and the inverse inertia, (10, 1): what turns a wrench into accelerations.
 
-    Without mass or inertia it is 1, and the row holds the force or torque itself, which must
-    vanish (`Dae.balances`).
+    For a motion without mass or inertia it is 1, so that the row of ode holds the force or torque
+    itself, which must vanish (`Dae.balances`).
     """
     inertia = to_expr(body.inertia)
     for i in axes_without_inertia(body):
@@ -108,7 +119,7 @@ def compliance_column(body: RigidBody) -> ca.SX:
 
 
 def body_column(body: RigidBody) -> ca.SX:
-    """What the outputs of a body need."""
+    """Return what the outputs of a body need, (16, 1): mass, inertia, com, start position."""
     return ca.vertcat(
         to_expr(body.mass), ca.vec(to_expr(body.inertia)), to_expr(body.com), to_expr(body.position)
     )

@@ -1,8 +1,8 @@
-"""A scene written in the axes of a plane in which it may move.
+"""A scene rewritten in the axes of a plane in which it may move.
 
-The passes of `minimal` see planar motion if its normal is a world axis and the bodies start without
-a turn about any other axis. `planes` finds the plane at the start and gives an equivalent scene in
-which both hold; `Plane.way_back` turns its states into those of the original scene.
+The passes of `minimal` recognise planar motion if its normal is a world axis and no body is rotated
+about any other axis at the start. `planes` searches for a plane at the start and returns an
+equivalent scene for which both hold; `Plane.way_back` maps its states to those of the original.
 """
 
 from __future__ import annotations
@@ -35,23 +35,26 @@ from .rewrite import (
     times,
 )
 
-_FLAT = 1e-12  # relative distance from a plane, and angle (rad) from its normal, of careful input
-_THIN = 1e-9  # relative width below which vectors are on one line
-_AT_MOST = 4  # candidates
+# Relative distance from a plane, and angle (rad) from its normal, that careful input keeps.
+_FLAT = 1e-12
+# Relative width below which vectors lie on one line.
+_THIN = 1e-9
+# Most planes that are tried.
+_CANDIDATES = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A scene written in axes of a plane in which it may move, and the way back.
+    """A scene rewritten in the axes of a plane in which it may move, and the map back.
 
     Arguments:
-        scene: the equivalent scene: world axes V; body axes N at the centres of mass, parallel to V
-            at the start. Its numbers differ from exact ones by rounding only.
-        Q: R_WV (3, 3), one column the normal; the identity if the world axes are kept.
+        scene: the equivalent scene, in world axes V and in body axes N at the centres of mass that
+            are parallel to V at the start. Its numbers differ from exact ones by rounding only.
+        Q: R_WV (3, 3), one column of which is the normal; the identity if the world axes are kept.
         origin: of V, world axes (3,), m; p_W = origin + Q p_V.
-        turned: R_BN (3, 3) of each body, its new axes to its own.
+        turned: R_BN (3, 3) of each body, from its new axes to its own.
         quaternions: of R_NB (4,), with the sign that gives the start of the original scene.
-        place: which axis of V is the normal.
+        place: which axis of V (0, 1, 2) is the normal.
     """
 
     scene: Scene
@@ -68,15 +71,15 @@ class Plane:
 
     @property
     def keeps_world(self) -> bool:
-        """Whether positions and velocities mean what they do in the original scene."""
+        """Whether positions and velocities mean the same as in the original scene."""
         return bool((self.Q == EYE).all() and not self.origin.any())
 
     def way_back(self, layout: Layout, x: ca.SX) -> ca.SX:
-        """States of the original scene (n, 1) from those of the new one.
+        """Return the bodies' states in the original scene (n, 1) from those in this one.
 
         Arguments:
-            layout: of the new scene, in any coordinates.
-            x: column of its states, symbols or numbers.
+            layout: layout of the rewritten scene, in any coordinates.
+            x: column of its bodies' states, symbols or numbers.
         """
         (Q, q_WV), columns = rotation_pair(self.Q), []
         for states, R_BN, q_NB in zip(layout.split(x), self.turned, self.quaternions, strict=True):
@@ -93,17 +96,18 @@ class Plane:
 
 
 def planes(scene: Scene) -> Iterator[Plane]:
-    """Planes in which the scene may move, best first; none for a scene that cannot be planar.
+    """Yield planes in which the scene may move, best first; at most four, none for a spatial scene.
 
-    Decided by numbers, every symbol at its default. Whether a candidate gives a smaller model is
-    for the passes of `minimal` to prove.
+    The search uses numbers, with every symbol at its default. Whether a candidate really gives a
+    smaller model is for the passes of `minimal` to prove.
     """
     for body in scene.bodies:
         low, _, high = np.linalg.eigvalsh(at_default(body.inertia))
-        if is_symbolic(body.rotation) or low <= _FLAT * high != 0:  # a rod needs its own axes
+        # A rod without inertia about its axis must keep its own axes (`pack.axes_without_inertia`).
+        if is_symbolic(body.rotation) or low <= _FLAT * high != 0:
             return
-    start = _see(scene)
-    for n, place in islice(start.normals(), _AT_MOST):
+    start = _at_start(scene)
+    for n, place in islice(start.normals(), _CANDIDATES):
         if _is_axis(n) and n[place]:
             yield written_in(scene, EYE, np.zeros(3), place)
         else:
@@ -112,8 +116,17 @@ def planes(scene: Scene) -> Iterator[Plane]:
 
 
 def written_in(scene: Scene, Q: np.ndarray, origin: np.ndarray, place: int = 2) -> Plane:
-    """The scene in world axes V (R_WV = Q, at origin), and body axes parallel to V at the start."""
-    start, q_VW = _see(scene), quaternion_of(Q) * (1, -1, -1, -1)
+    """Return the scene in world axes V, with body axes parallel to V at the start.
+
+    Arguments:
+        scene: the original scene.
+        Q: R_WV (3, 3).
+        origin: of V, world axes (3,), m.
+        place: which axis of V is the normal.
+    """
+    start, q_VW = _at_start(scene), quaternion_of(Q) * (1, -1, -1, -1)
+    # All points of the plane have the coordinate of the first one along the normal; those that
+    # differ by rounding are set to it exactly.
     level = times(Q.T, start.points[0] - origin, start.reach)
     axes = {GROUND: Axes(Q.T, q_VW, origin, start.reach, level)}
     for body, R in zip(scene.bodies, start.rotations, strict=True):
@@ -138,22 +151,21 @@ def _is_axis(n: np.ndarray) -> bool:
 
 
 def _distinct(axes: np.ndarray) -> np.ndarray:
-    """Directions (k, 3) that differ, up to sign, each once and in order."""
+    """Return the directions (k, 3) that differ, up to sign, each once and in order."""
+    # Signs make the first entry that is not small positive; directions equal to 9 digits are one.
+    # Adding 0.0 turns -0 into 0.
     lead = np.take_along_axis(axes, np.argmax(np.abs(axes) > _THIN, axis=1)[:, None], axis=1)
     _, first = np.unique(np.round(axes * np.sign(lead), 9) + 0.0, axis=0, return_index=True)
     return axes[np.sort(first)]
 
 
 def _across(a: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """Length of the part of vectors a (..., 3) across the unit vector n."""
+    """Return the length of the components of vectors a (..., 3) across the unit vector n."""
     return np.linalg.norm(np.cross(a, n), axis=-1)
 
 
-# The start, in numbers: where a scene may be planar.
-
-
 class _Start(NamedTuple):
-    """Poses and directions at the start, world axes, every symbol at its default."""
+    """Poses and directions at the start, as numbers in world axes, every symbol at its default."""
 
     rotations: np.ndarray  # R_WB of each body (k, 3, 3)
     inertias: np.ndarray  # (k, 3, 3)
@@ -164,20 +176,26 @@ class _Start(NamedTuple):
     turning: np.ndarray  # angular velocities and torques (k, 3)
 
     def in_plane(self, n: np.ndarray | None = None) -> np.ndarray:
-        """Vectors that lie in a plane of motion (with normal n), each kind 1 long at most."""
+        """Return vectors that must lie in the plane of motion, scaled to lengths of at most 1.
+
+        Arguments:
+            n: normal of the plane, if known.
+        """
         groups = [self.points - self.points[0], *self.pulls]
-        if n is not None and _is_axis(n):  # without a turn of the world axes heights are no matter
+        # If the world axes are not rotated, offsets along the normal do not matter.
+        if n is not None and _is_axis(n):
             groups = [] if len(self.turning) else self.pulls[:-1]
         sizes = [np.linalg.norm(group, axis=1).max(initial=0.0) for group in groups]
         scaled = [group / size for group, size in zip(groups, sizes, strict=True) if size > 0]
         return np.vstack([np.zeros((3, 3)), *scaled])
 
     def normals(self) -> Iterator[tuple[np.ndarray, int]]:
-        """Unit normals that the start suggests and admits, and which axis of V each is to be.
+        """Yield unit normals that the start allows, each with the axis of V that it becomes.
 
-        It is the axis it is in the joint frames: then those turn about one axis of their own, which
-        the passes see. Left out are world axes if every body starts parallel to the world and every
-        joint turns about one of its axes, since the scene itself shows those.
+        This is the axis that it is in the joint frames, which then rotate about one of their own
+        axes, which the passes recognise. World axes are left out if every body starts parallel to
+        the world and every joint rotates about one of its own axes, because the passes see such a
+        plane in the original scene.
         """
         frames = np.concatenate([self.joints, self.rotations])
         axes = frames.transpose(0, 2, 1)[:, ::-1].reshape(-1, 3)
@@ -187,17 +205,21 @@ class _Start(NamedTuple):
         if len(self.turning):
             suggested = self.turning[:1]
         else:
+            # Singular values of all vectors in the plane: the last right singular vector is the
+            # normal if they span exactly two dimensions.
             _, (long, wide, thick), rows = np.linalg.svd(self.in_plane(), full_matrices=False)
             if thick <= _FLAT * long and wide > _THIN * long:
                 suggested = rows[2:]
         for n in suggested / np.linalg.norm(suggested, axis=1)[:, None]:
             near = axes[_across(axes, n) <= _THIN]
-            n = near[0] if len(near) else n  # an axis is better known than a sum of points
+            # An axis of a frame is known more accurately than the fit through a sum of points.
+            n = near[0] if len(near) else n
             n = snap_rotation(n / np.linalg.norm(n))
             if not self.admits(n) or any(_across(other, n) <= _THIN for other in seen):
                 continue
             seen.append(n)
             along = _across(self.joints.transpose(0, 2, 1), n) <= _THIN
+            # Each joint frame votes for the axis that is parallel to the normal; ties go to z.
             votes = along.sum(axis=0)
             place = 2 - int(votes[::-1].argmax())
             if _is_axis(n) and not votes.any():
@@ -206,15 +228,21 @@ class _Start(NamedTuple):
                 yield n, place
 
     def admits(self, n: np.ndarray) -> bool:
-        """Whether all turns, all vectors and all inertias allow motion in the plane of normal n."""
+        """Return whether rotations, vectors and inertias allow motion in the plane of normal n."""
         flat = np.abs(self.in_plane(n) @ n) <= _FLAT
         parallel = _across(self.turning, n) <= _FLAT * np.linalg.norm(self.turning, axis=1)
         sizes = np.abs(self.inertias).max(axis=(1, 2))
+        # n must be a principal axis of every inertia, or rotation about n would cause torques about
+        # the other axes.
         principal = _across(self.inertias @ n, n) <= _FLAT * sizes
         return bool(flat.all() and parallel.all() and principal.all())
 
     def plane_axes(self, n: np.ndarray, place: int) -> np.ndarray:
-        """R_WV: the axis after n is along gravity if that is in the plane, else the first lever."""
+        """Return R_WV for a plane.
+
+        The axis after n is along gravity if that lies in the plane, else along the first lever
+        between points.
+        """
         (g,), levers = self.pulls[0], self.points - self.points[0]
         floor = _THIN * max(float(np.linalg.norm(levers, axis=1).max()), 1e-3)
         falls = [g] if abs(g @ n) <= _FLAT * np.linalg.norm(g) else []
@@ -223,11 +251,14 @@ class _Start(NamedTuple):
             if np.linalg.norm(e1) > floor:
                 break
         e1 = snap(e1 / np.linalg.norm(e1), 1.0)
+        # Right-handed with n as third axis; a cyclic shift makes it axis `place` and stays
+        # right-handed.
         Q = np.column_stack([e1, np.cross(n, e1), n])
         return snap_rotation(np.roll(Q, place - 2, axis=1))
 
 
-def _see(scene: Scene) -> _Start:
+def _at_start(scene: Scene) -> _Start:
+    """Return the start of a scene as numbers."""
     R = {b.name: snap_rotation(matrix_at_start(quaternion_of(b.rotation))) for b in scene.bodies}
     R[GROUND] = EYE
     p = {body.name: at_default(body.position) for body in scene.bodies} | {GROUND: np.zeros(3)}

@@ -1,7 +1,7 @@
-"""Connector laws: relative motion of two markers to a wrench; one file per law.
+"""Connector laws: from the relative motion of two markers to their wrenches; one file per law.
 
-`Standard`, `Intrinsic` and `Consistent` say what strain and rate are; effects, such as `Contact`,
-add forces along one component of them.
+`Standard`, `Intrinsic` and `Consistent` define what the strain and its rate are. Effects, such as
+`Contact` and `Friction`, add forces along one component of the strain, or act on the whole wrench.
 """
 
 from .consistent import Consistent

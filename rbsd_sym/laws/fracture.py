@@ -1,4 +1,4 @@
-"""Fracture: a connector that breaks at a limit and stays broken."""
+"""Fracture: a connector that breaks at a load limit and stays broken."""
 
 from __future__ import annotations
 
@@ -12,25 +12,38 @@ import casadi as ca
 from .effect import Answer, Change, Effect, Own, Rule, Sight
 from .smooth import ramp
 
-_TINY = 1e-300  # keeps derivatives of a norm finite at zero
-_WIDTH = 1e-2  # of the limit, in which damage sets in
+# Keeps derivatives of a norm finite at zero.
+_TINY = 1e-300
+# Relative excess over which smooth damage sets in.
+_WIDTH = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Fracture(Effect):
-    """The whole wrench of the connector vanishes for good once a limit is reached.
+    """Fracture: the whole wrench of the connector vanishes for good once a limit is reached.
 
-    Limits are those of the size of the force, of the torque, and of the energy stored, whichever
-    comes first; those not given do not count. What breaks is the spring-damper (or user force) with
-    the effects before this one.
+        effects=[rs.Fracture(force=2e3)]
 
-    The form with events has the states `broken` (0 or 1) and `lost`, the energy (J) stored then.
+    Picture: a bolt. The spring-damper (or user force) and the effects listed before this one break
+    together.
+
+    Free bodies: afterwards neither marker receives a wrench from them.
+
+    The limits apply to the magnitude of the force, the magnitude of the torque and the stored
+    energy, whichever is reached first; limits that are not given do not count. The form with events
+    has the data states `broken` (0 or 1) and `lost`, the energy (J) stored at that moment.
+
+    Choosing numbers: as a force, the strength of the part times its cross-section.
+
+    Limits: forces of dampers count towards the load. An energy limit needs a potential, so it does
+    not go with a user force.
 
     Arguments:
-        force, torque, energy: N, N m, J; at least one.
-        smoothing: 0 for the form with events. Else the time T (s) of damage that grows beyond the
-            limit, C2: D' = (1 - D) ramp(load / limit - 1) / T, and 1 - D of the wrench remains. It
-            breaks late by about T over the relative excess.
+        force, torque, energy: limits in N, N m and J; at least one.
+        smoothing: 0 for the form with events. Otherwise the time T (s) of damage that grows beyond
+            the limit, C2: D' = (1 - D) ramp(load / limit - 1) / T, and 1 - D of the wrench remains.
+            It breaks late, by about T over the relative excess.
+        name: label within the connector; by default fracture.
     """
 
     force: Any = None
@@ -51,18 +64,18 @@ class Fracture(Effect):
 
     @property
     def own(self) -> tuple[Own, ...]:
-        """What is broken."""
+        """With events `broken` and `lost`; with smoothing `damage`."""
         if self.smoothing:
             return (Own("damage"),)
         return Own("broken", data=True), Own("lost", "J", data=True)
 
     @property
     def needs_potential(self) -> bool:
-        """With an energy limit."""
+        """Whether there is an energy limit."""
         return self.energy is not None
 
     def answer(self, sight: Sight) -> Answer:
-        """What is left of the wrench."""
+        """Return which fraction of the wrench remains, and the event that breaks it."""
         load = self._load(sight)
         if self.smoothing:
             rate = (1 - sight.own[0]) * ramp(load - 1, _WIDTH) / self.smoothing
@@ -77,7 +90,7 @@ class Fracture(Effect):
         return Answer(rates=ca.SX.zeros(2), changes=(breaks,), factor=1 - broken)
 
     def _load(self, sight: Sight) -> ca.SX:
-        """The load over its limit, the largest of them."""
+        """Return the load over its limit, the largest of those given."""
         loads = []
         for part, limit in ((sight.force[:3], self.force), (sight.force[3:], self.torque)):
             if limit is not None:

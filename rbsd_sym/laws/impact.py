@@ -1,4 +1,4 @@
-"""Impact: a stop that throws back at once, by Newton's coefficient of restitution."""
+"""Impact: a rigid stop that reverses the velocity, by Newton's coefficient of restitution."""
 
 from __future__ import annotations
 
@@ -13,19 +13,34 @@ from .effect import Answer, Change, Effect, Own, Rule, Sight, value_at_default
 
 @dataclass(frozen=True, eq=False)
 class Impact(Effect):
-    """Where the clearance is used up, the velocity along the axis turns round: v+ = -e v-.
+    """Rigid stop along one axis that reverses the velocity, with a coefficient of restitution.
 
-    Picture: a hard floor. The impulse goes to both bodies through the law, as a force would, so
-    that turns and other directions follow from the inertias. Its energy loss, (1 - e^2) v^2 / 2
-    times the effective mass, is added to the state `lost` (J). A start beyond the stop that
-    approaches is thrown back at once. A body that comes to rest bounces without end in finite time;
-    the run then ends with its outcome. For what rests use `Contact`.
+        rs.RigidBodySpringDamper("floor", rs.Marker(rs.GROUND), rs.Marker("ball"), 0,
+                                 effects=[rs.Impact(2, restitution=0.8)])
+
+    Picture: a hard floor. Once the clearance gap + side strain is used up and the bodies approach,
+    the velocity along the axis is reversed in an instant.
+
+    Free bodies: an impulse of (1 + e) |v-| times the effective mass acts on both markers as a force
+    would, through the law of the connector; rotations and the other directions change according to
+    the inertias. Both bodies need inertia, unless one is the ground.
+
+        v+ = -e v-,   loss = (1 - e^2) v-^2 / 2 times the effective mass
+
+    The loss (J) is added to the data state `lost`.
+
+    Choosing numbers: e is the square root of the rebound height over the drop height.
+
+    Limits: a body that comes to rest would bounce infinitely often in finite time; the run then
+    ends with its outcome. Use `Contact` for bodies that come to rest. A start beyond the stop with
+    approaching bodies is an impact at once.
 
     Arguments:
-        axis: 0, 1, 2 for translation along the joint's x, y, z, 3, 4, 5 for rotation.
+        axis: 0, 1, 2 for translation along x, y, z of the joint frame; 3, 4, 5 for rotation.
         restitution: e, 0 ... 1.
-        gap: clearance at zero strain (m or rad).
-        side: +1 if the stop is at negative strain (a floor), -1 if at positive.
+        gap: clearance at zero strain, m or rad.
+        side: +1 if the stop is at negative strain (a floor), -1 if at positive strain (a ceiling).
+        name: label within the connector; by default impact_<axis>.
     """
 
     axis: int
@@ -37,26 +52,28 @@ class Impact(Effect):
 
     def _check(self, where: str) -> None:
         if self.side not in (1, -1):
-            raise ValueError(f"{where}: side {self.side!r}; it is +1 (a floor) or -1 (a ceiling)")
+            raise ValueError(f"{where}: side {self.side!r}; give +1 (a floor) or -1 (a ceiling)")
         restitution = value_at_default(self.restitution)
         if restitution > 1:
             raise ValueError(
-                f"{where}, restitution: {restitution:g}; at most 1, which loses no energy"
+                f"{where}, restitution: {restitution:g}; at most 1, which loses no energy; lower it"
             )
 
     @property
     def own(self) -> tuple[Own, ...]:
-        """The energy lost."""
+        """The energy lost in impacts, J."""
         return (Own("lost", "J", data=True),)
 
     @property
     def impulsive(self) -> bool:
-        """It throws."""
+        """True: it applies impulses."""
         return True
 
     def answer(self, sight: Sight) -> Answer:
-        """No force; the impulse."""
+        """Return no force, and the event that applies the impulse."""
         e, gives = self.restitution, sight.gives()
+        # Only approaching bodies collide; if the rate already points away, as it may after another
+        # event at the same instant, the impulse is zero.
         approach = self.side * ca.fmin(self.side * sight.rate, 0)
         lost = sight.own[0] + (1 - e * e) * approach**2 / (2 * gives)
         clearance = self.gap + self.side * sight.strain

@@ -1,4 +1,4 @@
-"""What every law offers, and what a connector makes of it: force, wrenches, energies."""
+"""The interface of laws, and what a connector computes from one: force, wrenches, energies."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from .effect import Answer, Effect, Sight
 
 
 class Relative(NamedTuple):
-    """Relative motion as a law sees it.
+    """Relative motion of two markers as a law measures it.
 
     Fields:
-        strain: (6, 1) displacement (m) and rotation (rad), before any offset.
-        rate: (6, 1) velocity (m/s) and angular velocity (rad/s) that the damper feels.
-        transmit: force (6, 1) -> (wrench on marker 0, wrench on marker 1), at the markers.
+        strain: (6, 1) displacement (m) and rotation (rad), before the offset is subtracted.
+        rate: (6, 1) velocity (m/s) and angular velocity (rad/s) on which the damper acts.
+        transmit: function of a force (6, 1), N and N m along the components of the strain, that
+            returns the wrenches on marker 0 and marker 1, at the markers in world components.
     """
 
     strain: ca.SX
@@ -28,11 +29,18 @@ class Relative(NamedTuple):
 
 
 class Law(Protocol):
-    """From the motion of two markers to strain, rate and wrenches. One file per law.
+    """A connector law: from the motion of two markers to strain, rate and wrenches.
 
-    A law is a frozen dataclass: equal laws share one kernel. `turns_with_frames` says that both
-    joint frames may be turned by one rotation, with K, D and offsets turned along;
-    `soft_axes_with_trouble` names the local rotation axes about which the law is no valid hinge.
+    A law is a frozen dataclass without numbers of a connector, so that equal laws share one kernel.
+    To add one, write a file with a class that has these members.
+
+    Fields:
+        needs_symmetric_stiffness: whether K must be symmetric, because the force derives from an
+            energy.
+        turns_with_frames: whether both joint frames may be rotated by the same rotation if K, D and
+            the offsets are rotated along.
+        soft_axes_with_trouble: local rotation axes (0, 1, 2) about which the law is not a valid
+            hinge.
     """
 
     needs_symmetric_stiffness: ClassVar[bool]
@@ -40,23 +48,36 @@ class Law(Protocol):
     soft_axes_with_trouble: ClassVar[tuple[int, ...]]
 
     def relative(self, motion0: Motion, motion1: Motion) -> Relative:
-        """Strain and rate of the motion, and the way back from force to wrenches."""
+        """Return strain, rate, and the map from force to wrenches.
+
+        Arguments:
+            motion0, motion1: motions of the joint frames at marker 0 and marker 1, world
+                components.
+
+        Two moving bodies are usually given relative to the first one's frame; a law must not depend
+        on the choice of the inertial frame.
+        """
         ...
 
 
-def _weightless(relative: Relative, axis: int) -> ca.SX:
-    raise ValueError("an impulse needs bodies; give SpringDamper(gives=...)")
+def _no_bodies(relative: Relative, axis: int) -> ca.SX:
+    raise ValueError("respond: an effect with impulses needs bodies; give SpringDamper(gives=...)")
 
 
 class SpringDamper(NamedTuple):
-    """What a connector is made of, beside its law.
+    """The numbers of a connector that `respond` combines with its law.
 
     Fields:
-        stiffness, damping (6, 6), offset, velocity_offset (6, 1).
-        user_force: (t, strain, rate, A0, A1, data) -> force, or None.
-        effects: with symbols for their numbers, and `own` and `unknown`, their states and unknown
-            forces; the first `n_data` of own are the connector's own data.
-        gives: (relative, axis) -> how much the rate along the axis falls for a unit impulse.
+        stiffness, damping: K and D (6, 6).
+        offset, velocity_offset: (6, 1), m and rad, m/s and rad/s.
+        user_force: function (t, strain, rate, A0, A1, data) that returns the force (6, 1) in place
+            of the linear one; or None.
+        effects: the effects, with symbols for their numbers.
+        own: column of the connector's data, then of the states of the effects in order.
+        unknown: column of the unknown forces of the effects in order.
+        n_data: how many entries of `own` are the connector's data.
+        gives: function (relative, axis) that returns by how much the rate along the axis decreases
+            for a unit impulse along it, 1/kg or 1/(kg m2).
         on: condition under which the connector acts; None if it always does.
     """
 
@@ -69,14 +90,21 @@ class SpringDamper(NamedTuple):
     own: ca.SX = ca.SX(0, 1)
     unknown: ca.SX = ca.SX(0, 1)
     n_data: int = 0
-    gives: Callable[[Relative, int], ca.SX] = _weightless
+    gives: Callable[[Relative, int], ca.SX] = _no_bodies
     on: ca.SX | None = None
 
 
 class Response(NamedTuple):
-    """Everything a connector answers to the motion of its markers.
+    """What a connector exerts for a given motion of its markers.
 
-    `answers` are those of its effects, in order.
+    Fields:
+        relative: strain, rate and the map to wrenches.
+        force: (6, 1), N and N m, along the components of the strain; positive resists positive
+            strain.
+        wrench0, wrench1: wrenches on marker 0 and marker 1, world components.
+        potential_energy: J.
+        dissipated_power: W.
+        answers: what each effect contributed, in order.
     """
 
     relative: Relative
@@ -91,11 +119,18 @@ class Response(NamedTuple):
 def respond(
     law: Law, numbers: SpringDamper, t: ca.SX, motion0: Motion, motion1: Motion
 ) -> Response:
-    """Force K (strain - offset) + D (rate - velocity_offset), or the user's, and its energies.
+    """Return force, wrenches, energy and dissipation of a connector.
 
-    Effects add theirs. With a user force no potential is known: stored energy and dissipation count
-    as zero, and all of its power is injected power. While the connector is off, force and energies
-    are zero and the states of its effects rest.
+    The force is K (strain - offset) + D (rate - velocity_offset), or that of the user's function,
+    plus the forces of the effects. No potential of a user force is known: its stored energy and
+    dissipation count as zero, and all of its power as injected power. While the connector is off,
+    force and energies are zero and the states of its effects are constant.
+
+    Arguments:
+        law: how strain and rate are measured.
+        numbers: stiffness, damping, offsets, effects.
+        t: time, s.
+        motion0, motion1: motions of the joint frames, world components.
     """
     relative = law.relative(motion0, motion1)
     stretch = relative.strain - numbers.offset
@@ -104,6 +139,8 @@ def respond(
     if numbers.user_force is None:
         elastic, viscous = numbers.stiffness @ stretch, numbers.damping @ slip
         force = elastic + viscous
+        # An unsymmetric K stores the energy of its symmetric part; the power of the rest counts as
+        # injected.
         energy, dissipated = ca.dot(stretch, elastic) / 2, ca.dot(slip, viscous)
     else:
         R_WA, R_WC = motion0.frame.R_WA, motion1.frame.R_WA
@@ -118,16 +155,20 @@ def respond(
 
 
 def while_on(on: ca.SX | None, value: ca.SX, off: ca.SX | float = 0) -> ca.SX:
-    """The value where the connector acts, else what it is off.
+    """Return `value` while the connector acts, and `off` otherwise.
 
-    It is chosen, not multiplied: what is infinite or NaN while off leaves no trace, also in
-    derivatives.
+    The value is selected, not multiplied by 0 or 1, so that one that is infinite or NaN while the
+    connector is off has no effect, nor have its derivatives.
+
+    Arguments:
+        on: condition under which the connector acts; None if it always does.
+        value, off: expressions of one shape; `off` may be a number.
     """
     return value if on is None or not value.numel() else ca.if_else(on, value, off)
 
 
 def _answer_while_on(on: ca.SX | None, answer: Answer, unknown: ca.SX) -> Answer:
-    """An answer that is none while the connector is off; an unknown force is then zero."""
+    """Return an answer that contributes nothing while off; an unknown force is then zero."""
     return answer._replace(
         force=while_on(on, answer.force),
         energy=while_on(on, answer.energy),
@@ -140,13 +181,14 @@ def _answer_while_on(on: ca.SX | None, answer: Answer, unknown: ca.SX) -> Answer
 
 @dataclass
 class _Total:
-    """Sums over what was there before."""
+    """Sums of force, energy and dissipation over the spring-damper and the effects so far."""
 
     force: ca.SX
     energy: ca.SX
     dissipated: ca.SX
 
     def add(self, effect: Effect, answer: Answer) -> None:
+        """Add the answer of an effect; an effect on the whole wrench scales the sums so far."""
         if effect.whole:
             self.force = answer.factor * self.force
             self.energy = answer.factor * self.energy
@@ -162,12 +204,14 @@ class _Total:
 def _answers(
     numbers: SpringDamper, t: ca.SX, relative: Relative, total: _Total
 ) -> tuple[Answer, ...]:
-    """What the effects answer; their sums are added to the total."""
+    """Evaluate the effects in order, adding each to the total, and return their answers."""
     answers: list[Answer] = []
     forces: dict[str, ca.SX] = {}
     i, j = numbers.n_data, 0
     for effect in numbers.effects:
         i_end, j_end = i + len(effect.own), j + len(effect.unknowns)
+        # Order matters: an effect receives the force and energy of everything before it, so that
+        # friction finds the contact's push and fracture the load that it limits.
         axis: Any = slice(6) if effect.whole else effect.axis  # type: ignore[attr-defined]
         sight = Sight(
             t,

@@ -1,4 +1,4 @@
-"""Elastoplasticity with kinematic and isotropic hardening along one axis."""
+"""Elastoplasticity along one axis, with kinematic and isotropic hardening."""
 
 from __future__ import annotations
 
@@ -11,29 +11,45 @@ import casadi as ca
 from .effect import Answer, Change, Effect, Own, Rule, Sight
 from .smooth import ramp
 
-_NOISE = 1e-12  # of the yield force: rounding of what yielding has just left
-_WIDTH = 1e-2  # of the yield force, in which smooth yielding sets in
+# Excess, relative to the yield force, that counts as rounding just after a reversal.
+_ROUNDING = 1e-12
+# Relative excess over which smooth yielding sets in.
+_WIDTH = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Plastic(Effect):
-    """Spring in series with a slider that hardens.
+    """Elastic-plastic spring along one axis, with kinematic and isotropic hardening.
+
+        effects=[rs.Plastic(0, stiffness=1e6, yield_force=500, kinematic=1e5)]
+
+    Picture: a spring in series with a slider that hardens.
+
+    Free bodies: f acts along the axis on both markers, with the sign of the spring force.
 
         f = k (u - p),   |f - H p| <= F_y + I s,   s' = |p'|
 
-    The form with events keeps p and s as data states, `plastic` and `length`, which hold the
-    history up to the last reversal: the force is that of the return mapping [Simo, Hughes 1998, ch.
-    1] from there, exact for any way that does not turn back, and only the event at which yielding
-    ends writes the history. Yielding sets in at another event, without a change.
+    p is the plastic strain, s its accumulated length. The form with events keeps both as data
+    states, `plastic` and `length`, which hold the history up to the last reversal. The force comes
+    from the return mapping [Simo, Hughes 1998, ch. 1] from there, which is exact as long as the
+    motion does not reverse. Only the event at which yielding ends updates the history; the event at
+    which it begins changes nothing.
+
+    Choosing numbers: F_y is the force at the end of the linear range; beyond it the slope is k
+    (H + I) / (k + H + I).
+
+    Limits: one axis, without interaction of directions; no fracture (add `Fracture`), no rate
+    dependence unless smoothed.
 
     Arguments:
-        axis: 0, 1, 2 for translation along the joint's x, y, z, 3, 4, 5 for rotation.
+        axis: 0, 1, 2 for translation along x, y, z of the joint frame; 3, 4, 5 for rotation.
         stiffness, yield_force: k (N/m) and F_y (N), or N m/rad and N m.
-        kinematic, isotropic: H and I, in the unit of the stiffness.
-        smoothing: 0 for the form with events. Else the viscosity c (N s/m) of viscoplastic flow
-            [Perzyna 1966], C2: p' = ramp(|f - H p| - F_y - I s) / c with p and s as internal
-            states. Its force exceeds the yield force by c |p'|, and yielding sets in over 1 % of
+        kinematic, isotropic: hardening moduli H and I, in the unit of the stiffness.
+        smoothing: 0 for the form with events. Otherwise the viscosity c (N s/m) of viscoplastic
+            flow [Perzyna 1966], C2: p' = ramp(|f - H p| - F_y - I s) / c, with p and s as internal
+            states. The force exceeds the yield force by c |p'|, and yielding sets in over 1 % of
             F_y.
+        name: label within the connector; by default plastic_<axis>.
     """
 
     axis: int
@@ -52,12 +68,12 @@ class Plastic(Effect):
 
     @property
     def own(self) -> tuple[Own, ...]:
-        """Plastic strain and its length."""
+        """Plastic strain (m or rad) and its accumulated length."""
         unit, data = "rad" if self.axis > 2 else "m", not self.smoothing
         return Own("plastic", unit, data=data), Own("length", unit, data=data)
 
     def answer(self, sight: Sight) -> Answer:
-        """The force, by return mapping or viscoplastic."""
+        """Return the force, by return mapping or viscoplastic flow, and the events of yielding."""
         k, hardening, u = self.stiffness, self.kinematic, sight.strain
         p, s = sight.own[0], sight.own[1]
         reduced = k * (u - p) - hardening * p
@@ -66,9 +82,13 @@ class Plastic(Effect):
             flow = ramp(excess, _WIDTH * self.yield_force) / self.smoothing
             lost = (ca.fabs(reduced) - self.isotropic * s) * flow
             return self._answer(u, p, s, lost, ca.vertcat(side * flow, flow))
+        # Return mapping in one dimension: the trial force exceeds the yield limit by `excess`, and
+        # a plastic strain of excess / (k + H + I) takes it back to the limit.
         total = k + hardening + self.isotropic
         slip = ca.fmax(excess, 0) / total
-        flows = excess > _NOISE * self.yield_force
+        flows = excess > _ROUNDING * self.yield_force
+        # Of the plastic power f p' the hardening stores all but F_y |p'|, and p' = k
+        # u' / (k + H + I).
         lost = ca.if_else(excess > 0, self.yield_force * side * k * sight.rate / total, 0)
         p, s = p + side * slip, s + slip
         changes = (

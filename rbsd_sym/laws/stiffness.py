@@ -1,4 +1,4 @@
-"""Springs that are not linear: a cubic term, and a table."""
+"""Nonlinear springs along one axis: a cubic term, and a table of forces."""
 
 from __future__ import annotations
 
@@ -15,11 +15,25 @@ from .effect import Answer, Effect, Rule, Sight
 
 @dataclass(frozen=True, eq=False)
 class Cubic(Effect):
-    """Force c u^3 (plus k u), energy c u^4 / 4 (plus k u^2 / 2).
+    """Cubic spring along one axis.
+
+        effects=[rs.Cubic(2, cubic=1e7, linear=2e4)]
+
+    Picture: a spring that hardens or softens with its strain u, parallel to the connector's own.
+
+    Free bodies: f acts along the axis on both markers, with the sign of the spring force.
+
+        f = k u + c u^3,   U = k u^2 / 2 + c u^4 / 4
+
+    Choosing numbers: the slope k + 3 c u^2 at the largest strain of interest determines c.
+
+    Limits: the force of a softening spring (c < 0) is largest at u^2 = k / (3 |c|); beyond, its
+    slope is negative.
 
     Arguments:
-        axis: 0, 1, 2 for translation along the joint's x, y, z, 3, 4, 5 for rotation.
-        cubic, linear: c (N/m3, or N m/rad3) and k; negative ones soften.
+        axis: 0, 1, 2 for translation along x, y, z of the joint frame; 3, 4, 5 for rotation.
+        cubic, linear: c (N/m3 or N m/rad3) and k (N/m or N m/rad), of either sign.
+        name: label within the connector; by default cubic_<axis>.
     """
 
     axis: int
@@ -32,7 +46,7 @@ class Cubic(Effect):
     }
 
     def answer(self, sight: Sight) -> Answer:
-        """Force and energy."""
+        """Return force and energy."""
         u = sight.strain
         return Answer(
             self.linear * u + self.cubic * u**3, (self.linear + self.cubic * u * u / 2) * u * u / 2
@@ -41,15 +55,29 @@ class Cubic(Effect):
 
 @dataclass(frozen=True, eq=False)
 class Table(Effect):
-    """Force through given points: the natural cubic spline, C2, straight beyond its ends.
+    """Spring along one axis with a measured characteristic: a natural cubic spline through points.
 
-    Between points it differs from straight lines by at most h^2/8 of its second derivative; a
-    table of straight lines with sharp bends overshoots there, so give more points.
+        effects=[rs.Table(2, strain=[-0.01, 0, 0.02], force=[-500, 0, 300])]
+
+    Picture: a test bench curve of force over deflection. The spline is C2 and continues straight
+    beyond both ends; the energy is zero at the first point.
+
+    Free bodies: the force acts along the axis on both markers, with the sign of the spring force.
+
+    Choosing numbers: more points where the curve bends. The spline differs from straight lines
+    between the points by at most h^2 / 8 times its second derivative, h the distance of two points;
+    it overshoots at sharp bends.
+
+    Limits: plain numbers only; no hysteresis. A falling branch is a negative stiffness.
 
     Arguments:
-        axis: 0, 1, 2 for translation along the joint's x, y, z, 3, 4, 5 for rotation.
-        strain: increasing, m or rad; at least two.
-        force: N or N m, one for each strain.
+        axis: 0, 1, 2 for translation along x, y, z of the joint frame; 3, 4, 5 for rotation.
+        strain: at least two increasing strains, m or rad.
+        force: as many forces, N or N m.
+        name: label within the connector; by default table_<axis>.
+
+    Raises:
+        TypeError, ValueError: strain or force is not a list of plain numbers.
     """
 
     axis: int
@@ -69,12 +97,12 @@ class Table(Effect):
                 "at least two"
             )
         if not np.isfinite([u, f]).all():
-            raise ValueError(f"{where}: strains {u}, forces {f}; all are finite")
+            raise ValueError(f"{where}: strains {u}, forces {f}; give finite numbers")
         if (np.diff(u) <= 0).any():
             raise ValueError(f"{where}: strains {self.strain} do not increase; sort the table")
 
     def answer(self, sight: Sight) -> Answer:
-        """Force and energy, zero at the first strain of the table."""
+        """Return force and energy; the energy is zero at the first strain of the table."""
         knots, pieces = _natural_spline(np.array(self.strain), np.array(self.force))
         force, energy = ca.SX(0), ca.SX(0)
         stored, previous = 0.0, None
@@ -82,6 +110,8 @@ class Table(Effect):
             if previous is not None:
                 stored += float(_integral(previous[1], start - previous[0]))
             x = sight.strain - start
+            # Nested selections from left to right: the last piece that begins below the strain
+            # applies. The energy of all pieces before it is a number.
             here = i == 0 or sight.strain >= start
             value = c[0] + x * (c[1] + x * (c[2] + x * c[3]))
             force = value if i == 0 else ca.if_else(here, value, force)
@@ -92,24 +122,30 @@ class Table(Effect):
 
 
 def _column(values: Any, where: str) -> tuple[float, ...]:
+    """Return a list of plain numbers as floats, or raise an error that names the field."""
     if is_number(values) or values is None:
         raise TypeError(f"{where}: {values!r}; give a list of numbers")
     for value in values:
         if not is_number(value):
             raise ValueError(f"{where}: {value!r} is {type(value).__name__}; give plain numbers")
         if isinstance(value, Scalar):
-            raise TypeError(f"{where}: {value} is no plain number; a table is fixed")
+            raise TypeError(
+                f"{where}: {value} is not a plain number; a table is fixed; give numbers"
+            )
     return tuple(float(value) for value in values)
 
 
 def _integral(c: np.ndarray, x: Any) -> Any:
+    """Return the integral from 0 to x of the cubic polynomial with coefficients c."""
     return x * (c[0] + x * (c[1] / 2 + x * (c[2] / 3 + x * c[3] / 4)))
 
 
 def _natural_spline(u: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Start and coefficients (a + b x + c x^2 + d x^3) of each piece, the straight ends included.
+    """Return where each piece begins, and its coefficients (a, b, c, d) of a + b x + c x^2 + d x^3.
 
-    Second derivatives from the tridiagonal system [de Boor 1978, ch. IV], zero at both ends.
+    x is the distance from the beginning of the piece; the straight ends are pieces as well. The
+    second derivatives solve the tridiagonal system of the natural spline [de Boor 1978, ch. IV];
+    they vanish at both ends.
     """
     n, h = len(u), np.diff(u)
     slope = np.diff(f) / h

@@ -1,4 +1,4 @@
-"""Named quantities with units: what can be asked of bodies, connectors and the scene."""
+"""Named quantities with units that can be asked of bodies, connectors and the whole scene."""
 
 from __future__ import annotations
 
@@ -17,9 +17,15 @@ _XYZ = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Quantity:
-    """A name, a unit, the names of its components, and how it is measured.
+    """A quantity: name, unit, components, and the function that measures it.
 
-    `of_connectors` is the connector quantity whose sum over the scene the measure also gets.
+    Arguments:
+        name, unit: such as "velocity" and "m/s".
+        measure: function of a `BodyView`, a `ConnectorView` or, for the scene, of (body views,
+            gravity, sum over connectors), that returns a column.
+        components: name of each entry of the column; ("",) for a scalar.
+        shape: shape of the value at one time.
+        of_connectors: for a quantity of the scene, the connector quantity whose sum it receives.
     """
 
     name: str
@@ -31,7 +37,14 @@ class Quantity:
 
 
 class BodyView(NamedTuple):
-    """What a body quantity is measured from."""
+    """What a body quantity is computed from.
+
+    Fields:
+        body: motion of the body.
+        mass, inertia: kg, and kg m2 about the centre of mass, body axes (3, 3).
+        com: centre of mass in body axes, from the origin of the body frame, m.
+        start: start position of the origin of the body frame, world axes, m.
+    """
 
     body: Body
     mass: ca.SX
@@ -75,18 +88,21 @@ BODY_QUANTITIES = (
         "kinetic_energy", "J", lambda view: kinetic_energy(view.mass, view.inertia, view.body)
     ),
 )
-"""Of the body frame's origin, world axes; angular_velocity in body axes."""
+"""Positions and velocities are those of the body frame's origin, in world axes; angular_velocity is
+in body axes, rotation_matrix is R_WB row by row."""
 
 
 class ConnectorView(NamedTuple):
-    """What a connector quantity is measured from.
+    """What a connector quantity is computed from.
 
     Fields:
-        response: strain, force, wrenches, energies.
-        stored_rate: time derivative of the stored energy, and `given` the power on the bodies.
+        response: strain, force, wrenches, energies (`laws.Response`).
+        stored_rate: time derivative of the stored energy, W.
+        given: power of the wrenches on the bodies, W.
         active: 1 where the connector acts, else 0.
-        by_position, by_velocity: derivatives (12, 12) of the wrenches [f0; tau0; f1; tau1] by
-            small motions of the markers [p0; turn 0; p1; turn 1], and by their velocities.
+        by_position, by_velocity: functions that return the derivatives (12, 12) of the wrenches
+            [f0; tau0; f1; tau1] by small motions of the markers [p0; turn 0; p1; turn 1], and by
+            their velocities.
     """
 
     response: Any  # laws.Response
@@ -120,8 +136,8 @@ CONNECTOR_QUANTITIES = (
     _connector_vector("torque1", "N m", lambda r: r.wrench1.tau),
     POTENTIAL_ENERGY,
     Quantity("dissipated_power", "W", lambda view: view.response.dissipated_power),
-    # What the connector gives beyond what it stores and dissipates: motors, driven offsets (by
-    # TIME; Inputs count as held), and the faults of a law that has no potential.
+    # Power on the bodies beyond what is released from storage and dissipated: motors, offsets
+    # driven by TIME (Inputs count as constant), and the defects of a law without a potential.
     Quantity(
         "injected_power",
         "W",
@@ -138,7 +154,7 @@ CONNECTOR_TANGENTS = (
     ),
 )
 """Minus the derivatives of the wrenches on both markers, world axes (see `ConnectorView`), row by
-row: a spring that resists is positive. Turns are small rotations about world axes."""
+row, so that a resisting spring is positive. Turns are small rotations about world axes."""
 
 CONNECTOR_ACTIVE = Quantity("active", "", lambda view: view.active)
 
@@ -156,7 +172,7 @@ DOCUMENTED = {
 
 @cache
 def effect_force(index: int, name: str, unit: str) -> Quantity:
-    """Force along its axis of the effect of a connector with that index."""
+    """Return the quantity that is the force of effect number `index` along its axis."""
     return Quantity(name, unit, lambda view: view.response.answers[index].force)
 
 

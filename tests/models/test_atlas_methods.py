@@ -70,7 +70,7 @@ def test_methods_have_the_colours_of_the_work_precision_charts() -> None:
     assert oscillators.METHODS == precision._METHODS
     for method in oscillators.METHODS:
         place = precision._place(method, [method], 0)
-        assert oscillators.look(method)["color"] == style.COLOURS[place]
+        assert oscillators.style_of(method)["color"] == style.COLOURS[place]
 
 
 # 5: explicit methods

@@ -142,7 +142,7 @@ def test_data_and_steps(row: tuple[Any, ...]) -> None:
     refused(*row)
 
 
-AXIS = ("it is 0, 1, 2 for translation along the joint's x, y, z", "3, 4, 5 for rotation")
+AXIS = ("give 0, 1, 2 for translation along the joint's x, y, z", "3, 4, 5 for rotation")
 ORDER = ("acts on the whole wrench", "after the other effects", "connector of its own")
 LACKS = ("body 'arm'", "lacks mass or inertia", "give it some", "smoothing")
 MORE = "at least as much to start sliding"

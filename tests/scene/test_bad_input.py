@@ -68,7 +68,7 @@ FINITE = ("numbers are finite", "check where it came from")
     (ValueError, lambda: body(position=[rs.TIME, 0, 0]), "body 'arm', position: ", "'t'",
      "varies in time", "use a Param"),
     (ValueError, lambda: body(name=rs.GROUND), "body 'ground': ", "taken", "choose another"),
-    (TypeError, lambda: rs.Marker(body()), "marker: ", "RigidBody", "name of a body", "GROUND"),
+    (TypeError, lambda: rs.Marker(7), "marker: ", "7", "a body, its name", "GROUND"),
     (ValueError, lambda: rs.Marker("arm", [1, 2]), "marker on 'arm', position: ", "(2,)", "(3,)"),
     (ValueError, lambda: rs.Marker("arm", rotation=np.ones((3, 3))), "marker on 'arm', rotation: ",
      "orthonormal"),
