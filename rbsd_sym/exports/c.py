@@ -103,6 +103,7 @@ def source_text(model: Model, functions: list[Exported]) -> str:
     generator = ca.CodeGenerator(f"{model.name}_casadi", {"with_header": False})
     for f in functions:
         generator.add(f.kernel)
+    # For models of many equal parts CasADi writes a stub only, whose body `with_loops` replaces.
     loops = {f.kernel.name(): f.name for f in functions if assembles(model, f.name)}
     parts = [
         banner(model, f"{model.name}.c: kernels by CasADi, each behind one plain C function"),
@@ -195,6 +196,8 @@ def manifest_text(
         kinds: groups of labels to list, such as "x" or "p"; each label is [name, unit, start].
         more: further entries of the manifest.
     """
+    # No date and no path is recorded, so the same model gives the same bytes. The manifest cannot
+    # hold its own hash; it is checked by being complete.
     content = {
         "rbsd_sym": version.VERSION,
         "abi": version.ABI,

@@ -242,6 +242,7 @@ def _build(text: str, library: Path, compiler: list[str], flags: Sequence[str]) 
     # builds the same library at the same time never loads half of it. Where two finish, the second
     # replaces the first by the same contents.
     shared = ["-std=c99", "-fPIC", "-shared"]
+    # Linkers resolve symbols from left to right, hence -lm at the end.
     command = [*compiler, *shared, *flags, "-x", "c", "-", "-o", temporary, "-lm"]
     try:
         result = subprocess.run(command, input=text, capture_output=True, text=True, check=False)

@@ -116,6 +116,7 @@ def _manifest(
         "rtol": integrator.rtol,
         "atol": integrator.atol,
         "sensitivities": sensitivities,
+        # Start values that depend on parameters are constants in C, at the defaults of these.
         "moves": bool(ca.symvar(model.dae.x_start)),
     }
     more |= {"events": list(model.events)} if model.events else {}

@@ -34,6 +34,8 @@ def casadi_text(model: Model, integrator: Any) -> str:
     # within which two of them count as simultaneous. As t = t0 + s (t1 - t0), the rates are
     # dx/ds = (t1 - t0) ode.
     n_q = model.n_p + 2 * model.n_u + (6 if model.events else 5)
+    # Flat models are written as scalar code. Models of kernels are called instead of expanded, and
+    # events need branches that evaluate one side only; both are MX.
     symbol = ca.SX if not model.calls and model.function("ode").is_a("SXFunction") else ca.MX
     symbol = ca.MX if model.events else symbol
     s, q = symbol.sym("s"), symbol.sym("q", n_q)

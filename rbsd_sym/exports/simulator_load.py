@@ -136,6 +136,7 @@ class Simulator:
         Raises:
             ValueError: unknown names, times that do not increase, numbers that are not positive.
         """
+        # Parameters that affect outputs only are not arguments in C; the trajectory keeps them.
         idle = [name for name, _, _ in self.labels["idle_p"]]
         p = self._values("p", {k: v for k, v in (params or {}).items() if k not in idle})
         unknowns = [name for name, _, _ in self.labels["z"]]
