@@ -180,6 +180,7 @@ def _finish(options: argparse.Namespace, trajectory: rs.Trajectory, columns: Any
     folder = options.folder / trajectory.name
     folder.mkdir(parents=True, exist_ok=True)
     chosen = options.columns or columns or list(trajectory.states[:3])
+    # A run that failed at its start has one point, of which there is no curve to draw.
     if len(trajectory.t) > 1:
         figure = rs.plots.trajectory(trajectory, list(chosen))
         picture = folder / f"{trajectory.name}.png"
@@ -212,6 +213,7 @@ def _chart(options: argparse.Namespace) -> None:
         )
     figure = rs.plots.work_precision(table, f"{model.name}, {t_end:g} s")
     _draw(figure, folder / f"{model.name}.png")
+    # Times mean something only together with the machine, so the page names it.
     command = f"python -m rbsd_sym chart {options.model}"
     note = f"`{command}` on {platform.machine()}, {os.cpu_count()} cores, {rs.__version__}\n\n"
     text = f"# {model.name}: error against CPU time\n\n{note}{table.to_markdown()}"

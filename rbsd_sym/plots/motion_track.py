@@ -179,6 +179,7 @@ def track(drawing: Drawing, source: Source, t: np.ndarray) -> Track:
     poses[GROUND] = (np.zeros((len(t), 3)), np.broadcast_to(np.eye(3), (len(t), 3, 3)))
     bodies = [body for body in drawing.bodies if body.show]
     connectors = [c for c in drawing.connectors if c.show]
+    # Bodies that are not drawn still have poses, since markers and loads may be attached to them.
     every = [
         _frame(m, j, poses, source, t)
         for c in connectors

@@ -113,6 +113,7 @@ def work_precision(
 
 
 def _row(run: Callable[[], Trajectory], repeats: int, measure: ErrorOf) -> tuple[Any, ...]:
+    # A run that reports success may still be wrong, which only its measured error shows.
     trajectory, seconds = _timed(run, repeats)
     errors: dict[str, float | None] = dict.fromkeys(_QUANTITIES)
     if trajectory.outcome.ok:
