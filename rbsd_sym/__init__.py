@@ -1,6 +1,20 @@
 """Scenes of rigid bodies and 6-DOF spring-dampers as exact symbolic models.
 
-The file to read first is `pipeline.py`.
+A scene is written once. From it come CasADi functions with exact derivatives, simulations, C code,
+equilibria and linear models, and optimal control:
+
+    import rbsd_sym as rs
+
+    arm = rs.RigidBody("arm", mass=2, inertia=(0.1, 0.2, 0.3), position=(0.5, 0, 0))
+    joint = rs.RigidBodySpringDamper(
+        "joint", rs.Marker(rs.GROUND), rs.Marker("arm", (-0.5, 0, 0)), stiffness=[1e4] * 6
+    )
+    model = rs.compile_scene(rs.Scene("swing", [arm], [joint], gravity=(0, 0, -9.81)))
+    trajectory = rs.simulate(model, 2.0)
+    trajectory["arm.position"]          # (n, 3), m
+
+Units are SI. Studies of many runs are in `rs.study`, figures in `rs.plots`, optimal control in
+`rs.ocp`. Of the source, read `pipeline.py` first; `README.md` in this folder is the map.
 """
 
 from . import ocp, plots, study

@@ -20,29 +20,40 @@ import rbsd_sym as rs
 from .base.files import write_whole
 
 _EPILOG = """
-MODEL is a Python file that defines scene(); it may define T_END (s), COLUMNS (names to plot) and
-INPUTS (name: number, function of t, or samples), which `run` uses, and STABILITY, the arguments of
-`study.stability_map`: {"x": {name: values}, "y": {name: values}, ...}, perhaps with "make". `ocp`
-needs problem(), and uses METHOD, GUESS, SOLVER and picture(solution) where they are defined.
+MODEL is a Python file that defines scene(). It may also define T_END (s), COLUMNS (names to plot)
+and INPUTS (name: number, function of t, or samples) for `run` and `chart`, and STABILITY for
+`stability`: the arguments of `study.stability_map` as {"x": {name: values}, "y": {name: values},
+...}, optionally with "make". `ocp` needs problem(), and uses METHOD, GUESS, SOLVER and
+picture(solution) if they are defined.
 
 examples:
   python -m rbsd_sym info models/mini.py                    states, cost, notes
   python -m rbsd_sym run models/engine_mounts.py            integrate, plot, save
   python -m rbsd_sym run models/mini.py --t-end 2 --columns body.position spring.force_local
-  python -m rbsd_sym run models/pair.py --animate gif       and a film
+  python -m rbsd_sym run models/pair.py --animate gif       the same, and a film
   python -m rbsd_sym export models/engine_mounts.py         C code with header and model card
-  python -m rbsd_sym chart models/mini.py                   speed against accuracy
-  python -m rbsd_sym stability models/engine_mounts.py      rest, eigenvalues, frequencies
+  python -m rbsd_sym chart models/mini.py                   error against CPU time of integrators
+  python -m rbsd_sym stability models/engine_mounts.py      equilibrium, eigenvalues, frequencies
   python -m rbsd_sym stability models/kapitza.py            map of stability
   python -m rbsd_sym stability --all                        the stability atlas
   python -m rbsd_sym ocp models/crane.py --animate gif      plan, picture, and a film of the plan
 """
-_FILM = 5.0  # s, the longest
+_FILM = 5.0  # s, the longest film
 _INTEGRATORS = {"idas": rs.Idas, "rosenbrock": rs.Rosenbrock, "explicit": rs.ExplicitRK}
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; the exit code is 0, or 1 after an error message in one line."""
+    """Run a command of the command line.
+
+    Arguments:
+        arguments: those after `python -m rbsd_sym`; by default those of this process.
+
+    Returns:
+        The exit code: 0, or 1 after an error, which is printed in one line. A failed simulation is
+        saved up to where it failed.
+    """
+    # Errors that a user can cause end in one line. Any other exception is a defect of the program,
+    # and keeps its traceback.
     options = _parser().parse_args(arguments)
     commands: dict[str, Callable[[argparse.Namespace], None]] = {
         "info": _info,
@@ -79,8 +90,8 @@ def _parser() -> argparse.ArgumentParser:
         ("info", "print the model: states, start values, cost, notes"),
         ("run", "integrate, and write generated/<name>/<name>.npz and .png"),
         ("export", "write C code to generated/<name>/"),
-        ("chart", "error against time of every integrator: generated/charts/<name>.png, .md, .csv"),
-        ("stability", "map of stability, or rest and eigenvalues; --all: the stability atlas"),
+        ("chart", "error against CPU time of integrators: generated/charts/<name>.png, .md, .csv"),
+        ("stability", "map of stability, or equilibrium and eigenvalues; --all: stability atlas"),
         ("ocp", "optimise problem(), and write generated/<name>/<name>_plan.npz and .png"),
     ):
         command = commands.add_parser(name, help=text, description=text)
@@ -97,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
             _run_options(command)
         if name == "chart":
             command.add_argument("--t-end", type=float, help="end in s (default: T_END, or 1)")
-            command.add_argument("--repeats", type=int, default=5, help="of each run (default 5)")
+            command.add_argument("--repeats", type=int, default=5, help="timed runs (default 5)")
         if name == "stability":
             _stability_options(command)
     return parser
@@ -155,6 +166,7 @@ def _run(options: argparse.Namespace) -> None:
             inputs=getattr(file, "INPUTS", {}),
             params=_settings(options.set),
         )
+    # The trajectory is saved before the film is drawn, which may take longer than the simulation.
     _finish(options, trajectory, getattr(file, "COLUMNS", None))
     if options.animate:
         film = options.folder / trajectory.name / f"{trajectory.name}.{options.animate}"
@@ -164,10 +176,11 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _finish(options: argparse.Namespace, trajectory: rs.Trajectory, columns: Any) -> None:
-    """Save and draw what there is, also after a failure; print the end and the statistics."""
+    """Save and draw a trajectory, also one that failed; print its report and statistics."""
     folder = options.folder / trajectory.name
     folder.mkdir(parents=True, exist_ok=True)
     chosen = options.columns or columns or list(trajectory.states[:3])
+    # A run that failed at its start has one point, of which there is no curve to draw.
     if len(trajectory.t) > 1:
         figure = rs.plots.trajectory(trajectory, list(chosen))
         picture = folder / f"{trajectory.name}.png"
@@ -200,6 +213,7 @@ def _chart(options: argparse.Namespace) -> None:
         )
     figure = rs.plots.work_precision(table, f"{model.name}, {t_end:g} s")
     _draw(figure, folder / f"{model.name}.png")
+    # Times mean something only together with the machine, so the page names it.
     command = f"python -m rbsd_sym chart {options.model}"
     note = f"`{command}` on {platform.machine()}, {os.cpu_count()} cores, {rs.__version__}\n\n"
     text = f"# {model.name}: error against CPU time\n\n{note}{table.to_markdown()}"
@@ -214,13 +228,13 @@ def _stability(options: argparse.Namespace) -> None:
         _atlas(options)
         return
     if options.model is None:
-        raise ValueError("stability: no MODEL; give one, or --all for the stability atlas")
+        raise ValueError("stability: no MODEL given; give one, or --all for the stability atlas")
     file, model = _compile(options)
     if hasattr(file, "STABILITY"):
         _map(options, model, dict(file.STABILITY))
         return
     inputs, params = getattr(file, "INPUTS", {}), _settings(options.set)
-    with _progress(f"looking for rest of {model.name}"):
+    with _progress(f"solving for the equilibrium of {model.name}"):
         rest = rs.static_equilibrium(model, inputs=inputs, params=params)
     print(rest)
     units = {label.name: label.unit for label in (*model.x_labels, *model.dae.z_labels)}
@@ -229,21 +243,26 @@ def _stability(options: argparse.Namespace) -> None:
     print(rs.linearize(model, rest))
 
 
-def _map(options: argparse.Namespace, model: rs.Model, asked: dict[str, Any]) -> None:
-    """Write the map that a model file asks for."""
+def _map(options: argparse.Namespace, model: rs.Model, arguments: dict[str, Any]) -> None:
+    """Write the map of stability that a model file defines.
+
+    Arguments:
+        arguments: those of `study.stability_map`, from the file.
+    """
     try:
-        given = asked.pop("make", model), asked.pop("x"), asked.pop("y")
+        given = arguments.pop("make", model), arguments.pop("x"), arguments.pop("y")
     except KeyError as error:
         raise ValueError(
             f"{options.model}: STABILITY has no {error}; it needs 'x' and 'y', such as "
             '{"x": {"stiffness": [1e3, 2e3]}, "y": {"damping": [1, 2]}}'
         ) from error
-    asked["params"] = {**asked.get("params", {}), **_settings(options.set)}
+    arguments["params"] = {**arguments.get("params", {}), **_settings(options.set)}
     folder = options.folder / "charts"
     folder.mkdir(parents=True, exist_ok=True)
     with _progress(f"mapping the stability of {model.name}"):
-        table = rs.study.stability_map(*given, **asked)
+        table = rs.study.stability_map(*given, **arguments)
     stem = folder / f"{model.name}_stability"
+    # Without a single good point there is nothing to draw, but the table holds the reasons.
     failed = sum(error is not None for error in table.column("error"))
     if failed < len(table.rows):
         _draw(rs.plots.stability_map(table, model.name), stem.with_suffix(".png"))
@@ -258,13 +277,15 @@ def _map(options: argparse.Namespace, model: rs.Model, asked: dict[str, Any]) ->
 
 
 def _atlas(options: argparse.Namespace) -> None:
-    """Remake pages of the atlas; one that fails does not stop the others."""
+    """Write pages of the stability atlas; a page that fails does not stop the others."""
     atlas = _load_atlas(Path("models").resolve() / "atlas")
     every = atlas.pages()
     pages = [page for page in every if options.page in (None, page.number)]
     if not pages:
         numbers = ", ".join(str(page.number) for page in every)
-        raise ValueError(f"stability --page {options.page}: no such page; there are: {numbers}")
+        raise ValueError(
+            f"stability --page {options.page}: no such page; there are: {numbers}; give one of them"
+        )
     folder = options.folder / "charts" / "atlas"
     folder.mkdir(parents=True, exist_ok=True)
     failed = []
@@ -272,7 +293,7 @@ def _atlas(options: argparse.Namespace) -> None:
         try:
             with _progress(f"page {page.number}: {page.title}"):
                 atlas.make(page, folder, full=not options.short)
-        except Exception as error:  # whatever fails on a page, the others are made
+        except Exception as error:  # of any type, since pages run code of their own
             failed.append(f"{page.number} ({type(error).__name__}: {error})")
     atlas.contents(folder)
     print(f"wrote {len(pages) - len(failed)} of {len(pages)} pages to {folder}")
@@ -289,18 +310,20 @@ def _load_atlas(folder: Path) -> ModuleType:
     file = folder / "__init__.py"
     if not file.is_file():
         raise ValueError(
-            f"stability: no {folder} here; the stability atlas is part of the repository, not of "
-            "the installed package; run the command from the repository's root"
+            f"stability: there is no {folder}; the stability atlas is part of the repository, not "
+            "of the installed package; run the command from the repository's root"
         )
     spec = importlib.util.spec_from_file_location(
         "atlas", file, submodule_search_locations=[str(folder)]
     )
     if spec is None or spec.loader is None:
         raise ValueError(f"stability: {file} is not a Python package; restore it")
+    # Pages import the package by its name, so it must be registered, and modules of another
+    # checkout's atlas that this process has loaded must not be found in its place.
     for name in [n for n in sys.modules if n == "atlas" or n.startswith("atlas.")]:
-        del sys.modules[name]  # of another folder, loaded earlier in this process
+        del sys.modules[name]
     module = importlib.util.module_from_spec(spec)
-    sys.modules["atlas"] = module  # its pages import from it
+    sys.modules["atlas"] = module
     spec.loader.exec_module(module)
     return module
 
@@ -317,7 +340,7 @@ def _ocp(options: argparse.Namespace) -> None:
             getattr(file, "METHOD", None),
             getattr(file, "GUESS", None),
             getattr(file, "SOLVER", None),
-            _tell if options.progress else None,
+            _print_iteration if options.progress else None,
             throw=False,
         )
     if not solution.outcome.ok:
@@ -340,8 +363,7 @@ def _ocp(options: argparse.Namespace) -> None:
             rs.plots.animate(solution.model, plan, film, duration=min(_FILM, solution.t_end))
 
 
-def _tell(iteration: rs.ocp.Iteration) -> None:
-    """A line for every iteration."""
+def _print_iteration(iteration: rs.ocp.Iteration) -> None:
     number, cost, violation = iteration
     print(f"{number:5d}  cost {cost:.8g}  violation {violation:.2e}", file=sys.stderr, flush=True)
 
@@ -359,11 +381,12 @@ def _settings(pairs: list[str]) -> dict[str, float]:
         except ValueError:
             equals = ""
         if not equals:
-            raise ValueError(f"--set {pair}: write NAME=VALUE, such as --set stiffness=500")
+            raise ValueError(f"--set {pair}: give NAME=VALUE, such as --set stiffness=500")
     return settings
 
 
 def _compile(options: argparse.Namespace) -> tuple[ModuleType, rs.Model]:
+    # Warnings of the model are printed after the line of progress, without Python's source lines.
     file = load_model_file(options.model)
     formulation = rs.TaitBryan() if options.tait_bryan else rs.Quaternion()
     with warnings.catch_warnings(record=True) as caught:
@@ -378,8 +401,11 @@ def _compile(options: argparse.Namespace) -> tuple[ModuleType, rs.Model]:
 def load_model_file(path: Path) -> ModuleType:
     """Import a model file by its path.
 
+    Returns:
+        The module, with the function scene() and whatever else the file defines.
+
     Raises:
-        ValueError: no such file, or no scene() in it.
+        ValueError: there is no such file, or it does not define scene().
     """
     if not path.is_file():
         raise ValueError(f"{path}: no such file; give a Python file that defines scene()")
@@ -387,7 +413,8 @@ def load_model_file(path: Path) -> ModuleType:
     if spec is None or spec.loader is None:
         raise ValueError(f"{path}: not a Python file; give one that defines scene()")
     module = importlib.util.module_from_spec(spec)
-    sys.modules.setdefault(path.stem, module)  # where dataclasses of the file look for their types
+    # Dataclasses look up the types of their fields in the registered module.
+    sys.modules.setdefault(path.stem, module)
     spec.loader.exec_module(module)
     if not callable(getattr(module, "scene", None)):
         raise ValueError(f"{path}: defines no scene(); write a function that returns a Scene")
@@ -396,7 +423,7 @@ def load_model_file(path: Path) -> ModuleType:
 
 @contextmanager
 def _progress(what: str) -> Iterator[None]:
-    """One line on stderr that tells what runs, and how long it took when it is done."""
+    """Print on stderr what runs and, when it is done, how long it took."""
     started = time.perf_counter()
     print(f"{what} ...", end="", file=sys.stderr, flush=True)
     try:

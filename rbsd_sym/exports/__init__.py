@@ -1,4 +1,9 @@
-"""Exports: a `Model` to files; one file per target."""
+"""Exports: write a `Model` as a folder of C, compile such folders, and call the result.
+
+`export_c` writes the functions of a model, `export_simulator` a whole simulation; `load_c`,
+`load_simulator` and `compiled` build machine code, which is kept in a cache. `README.md` in this
+folder says what a folder of C holds and how to add a target.
+"""
 
 from .c import export_c
 from .compiled import compiled

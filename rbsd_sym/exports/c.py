@@ -1,4 +1,4 @@
-"""Plain C99: header, source, example, manifest and model card of a model."""
+"""Export of a model's functions as plain C99: header, source, example, manifest and card."""
 
 from __future__ import annotations
 
@@ -28,16 +28,31 @@ _JACOBIANS = tuple(f"d{f}_d{v}" for f in ("ode", "alg") for v in "xzup")
 def export_c(
     model: Model, folder: str | os.PathLike[str], functions: Sequence[str] | None = None
 ) -> Artefact:
-    """Write <name>.h, <name>.c, example.c, manifest.json and README.md into a folder.
+    """Write the functions of a model as C99 without dependencies.
+
+    The folder receives <name>.h, <name>.c, example.c, manifest.json and README.md (the model
+    card), either all of them or none. Every function has the signature
+    `int <name>_ode(t, x, z, u, p, result)`, returns 0 on success, allocates nothing and is
+    re-entrant; the header documents sizes, indices and units.
+
+    >>> artefact = rs.export_c(model, "generated/swing")
+    >>> rates = rs.load_c(artefact).function("ode")
 
     Arguments:
-        folder: made if needed; files of an earlier export there are replaced.
-        functions: names as in `model.function`, those of second derivatives too; by default ode,
-            alg, out and the Jacobians of ode and alg, as far as they are not empty.
+        model: what `compile_scene` returns.
+        folder: created if needed; files of an earlier export there are replaced.
+        functions: names as in `model.function`, including those of second derivatives. The default
+            is ode, alg, out, zero, jump and the Jacobians of ode and alg, without those that have
+            no nonzeros.
+
+    Returns:
+        The `Artefact`, which `load_c` takes.
 
     Raises:
-        ValueError: unknown function, names that collide in C, a folder that cannot be written.
+        ValueError: unknown function, names that collide in C, a folder that cannot be written or
+            that holds foreign files.
     """
+    # The functions of a `compiled` model call a library, so they cannot be written as C.
     model = as_model(model, "export_c").plain
     chosen = _default(model) if functions is None else functions
     named = (model.dae.aliases.get(name, name) for name in chosen)
@@ -67,6 +82,9 @@ def _default(model: Model) -> list[str]:
 def _exported(model: Model, name: str) -> Exported:
     function = model.function(name)
     found = derivative(name)
+    # In C a result is either a plain array of all rows, or the nonzeros of a matrix whose pattern
+    # is exported beside it. Explicit time derivatives of ode and alg are single dense columns, so
+    # they are plain arrays although they are derivatives.
     by_time = found is not None and found.by == "t" and found.of != "out"
     jacobian = found is not None and bool(found.by) and not by_time
     sparse = function.size2_out(0) > 1 or name == "jump" or jacobian
@@ -81,10 +99,11 @@ def _exported(model: Model, name: str) -> Exported:
 
 
 def source_text(model: Model, functions: list[Exported]) -> str:
-    """The text of <name>.c: CasADi's kernels and one plain function around each."""
+    """Return the text of <name>.c: CasADi's code, and around each function one of plain C."""
     generator = ca.CodeGenerator(f"{model.name}_casadi", {"with_header": False})
     for f in functions:
         generator.add(f.kernel)
+    # For models of many equal parts CasADi writes a stub only, whose body `with_loops` replaces.
     loops = {f.kernel.name(): f.name for f in functions if assembles(model, f.name)}
     parts = [
         banner(model, f"{model.name}.c: kernels by CasADi, each behind one plain C function"),
@@ -101,7 +120,9 @@ def source_text(model: Model, functions: list[Exported]) -> str:
 
 
 def defaults_body(model: Model) -> str:
-    """Body of the C function that fills start and default values."""
+    """Return the body of the C function that fills in start and default values."""
+    # repr() is the shortest text that reads back as the same double, so the values in C are exact
+    # and the file is the same on every run.
     dae = model.dae
     lines = ["{"]
     for kind in "xzup":
@@ -120,7 +141,15 @@ def defaults_body(model: Model) -> str:
 
 
 def call_lines(kernel: ca.Function, result: str, given: str) -> list[str]:
-    """Body of a C function (t, x, z, u, p, given, result) around CasADi's own."""
+    """Return the body of a C function that calls the one which CasADi generated.
+
+    Arguments:
+        kernel: CasADi's function of t, x, z, u, p and possibly a sixth argument.
+        result: name of the C array for the result.
+        given: name of the sixth argument, "" if there is none.
+    """
+    # CasADi reports the sizes of its work arrays, so they are local arrays: nothing is allocated,
+    # and calls from several threads share nothing. C99 has no arrays of size 0, hence the 1.
     return [
         "{",
         f"  const double *arg[{max(kernel.n_in(), kernel.sz_arg())}] = {{0}};",
@@ -160,7 +189,15 @@ def _wrapper(model: Model, f: Exported) -> str:
 def manifest_text(
     model: Model, texts: Mapping[str, str], kinds: Sequence[str], more: Mapping[str, Any]
 ) -> str:
-    """The manifest of a folder: origin, labels of those kinds, hashes of its files, and more."""
+    """Return the text of manifest.json: origin, labels and hashes of the other files.
+
+    Arguments:
+        texts: file name to text, of every other file of the folder.
+        kinds: groups of labels to list, such as "x" or "p"; each label is [name, unit, start].
+        more: further entries of the manifest.
+    """
+    # No date and no path is recorded, so the same model gives the same bytes. The manifest cannot
+    # hold its own hash; it is checked by being complete.
     content = {
         "rbsd_sym": version.VERSION,
         "abi": version.ABI,

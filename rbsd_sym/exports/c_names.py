@@ -1,4 +1,4 @@
-"""Names in generated C: minted here and nowhere else."""
+"""Names in generated C; all of them are made in this file."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from ..dae.members import Label
 
 
 def function(model: str, name: str) -> str:
-    """Symbol of an exported function."""
+    """Return the C symbol of an exported function, such as `swing_dode_dx`."""
     return f"{model}_{c_name(name)}"
 
 
 def kernel(model: str, name: str) -> str:
-    """Symbol of CasADi's own function behind an exported one."""
+    """Return the C symbol of CasADi's function that an exported one calls."""
     return f"{model}_casadi_{c_name(name)}"
 
 
 def constant(model: str, *parts: str) -> str:
-    """An enum constant."""
+    """Return the name of an enum constant: model name and parts in capitals, joined by _."""
     return "_".join(c_name(part) for part in (model, *parts)).upper()
 
 
 def indices(model: str, kind: str, labels: Iterable[Label]) -> list[tuple[str, Label]]:
-    """Enum constant of each label.
+    """Return (enum constant, label) for each label, such as (SWING_X_ARM_P_X, arm.p_x).
 
     Raises:
-        ValueError: two labels give one constant, since C constants are written in capitals.
+        ValueError: two labels have the same constant, as names that differ by case alone do.
     """
     rows = [(constant(model, kind, label.name), label) for label in labels]
     seen: dict[str, str] = {}
     for name, label in rows:
         if name in seen:
             raise ValueError(
-                f"model '{model}': '{seen[name]}' and '{label.name}' are both {name} in C; rename "
-                "one so that they differ by more than case"
+                f"model '{model}': '{seen[name]}' and '{label.name}' are both {name} in C; C "
+                "constants are written in capitals; rename one of them"
             )
         seen[name] = label.name
     return rows

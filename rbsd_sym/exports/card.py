@@ -1,4 +1,4 @@
-"""The model card: what a generated folder holds, for the person who finds it."""
+"""The model card: the README.md of a generated folder, written for whoever finds that folder."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .header import Exported
 
 
 def card_text(model: Model, functions: list[Exported]) -> str:
-    """The text of README.md."""
+    """Return the text of README.md: sizes, use, functions with their cost, states and notes."""
     dae, name = model.dae, model.name
     lines = [
         f"# {name}",

@@ -1,4 +1,4 @@
-"""A short C program that calls a generated model: one evaluation, one Jacobian, printed."""
+"""example.c of a model: a short program that evaluates the rates and a Jacobian and prints them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .header import Exported, banner
 
 
 def example_text(model: Model, functions: list[Exported]) -> str:
-    """The text of example.c; it prints the rates at the start and the nonzeros of dode_dx."""
+    """Return the text of example.c; it prints ode and the nonzeros of dode_dx at the start."""
     name, there = model.name, {f.name: f for f in functions}
     size = {kind: max(1, getattr(model, f"n_{kind}")) for kind in "xzup"}
     lines = [

@@ -1,4 +1,4 @@
-"""Writing a folder of generated files: whole or not at all, and never over a foreign file."""
+"""Folders of generated files: written completely or not at all, and never over a foreign file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,14 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class Artefact:
-    """What an export wrote: the folder, the model's name and digest, the functions in it."""
+    """What an export wrote; the functions `load_...` take it in place of a path.
+
+    Fields:
+        folder: where the files are.
+        name: of the model; C symbols begin with it.
+        digest: of the model, 16 hexadecimal digits; loading compares it with that of a model.
+        functions: names of the exported functions; none for a simulator.
+    """
 
     folder: Path
     name: str
@@ -28,40 +35,53 @@ class Artefact:
 
 
 def template(file: str, marks: Mapping[str, Any]) -> str:
-    """The text of a template with its marks replaced."""
+    """Return the text of a template with its marks replaced.
+
+    Arguments:
+        file: name of the template in this package, without the ending ".in".
+        marks: value of each mark; @NAME@ in the template becomes `str(marks["NAME"])`.
+
+    Raises:
+        KeyError: the template has a mark that is not given.
+    """
     text = resources.files(__package__).joinpath(f"{file}.in").read_text()
     return re.sub(r"@(\w+)@", lambda match: str(marks[match[1]]), text)
 
 
 def sha256(text: str) -> str:
-    """Hash of a file's text, as it stands in the manifest."""
+    """Return the hash of a file's text, as the manifest records it."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_manifest(folder: Path) -> dict:
-    """The manifest of a generated folder.
+    """Read the manifest of a generated folder.
 
     Raises:
-        ValueError: there is none, or it is damaged.
+        ValueError: the folder has no manifest, or a damaged one.
     """
     try:
         manifest = json.loads((folder / MANIFEST).read_text())
     except (OSError, ValueError) as error:
         raise ValueError(
-            f"{folder}: no readable {MANIFEST} ({error}); export the model there again"
+            f"{folder}: no readable {MANIFEST} ({error}); export the model to this folder again"
         ) from error
     wanted = {"rbsd_sym", "abi", "name", "digest", "functions", "files"}
     if not isinstance(manifest, dict) or not wanted <= set(manifest):
-        raise ValueError(f"{folder}: {MANIFEST} is not of rbsd_sym; choose another folder")
+        raise ValueError(
+            f"{folder}: {MANIFEST} is not of rbsd_sym, or is damaged; choose another folder"
+        )
     return manifest
 
 
 def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write the files and put them in place together, the manifest last.
+    """Write files (name to text) into a folder, completely or not at all.
 
     Raises:
-        ValueError: the folder cannot be written, or holds a file of that name that is not ours.
+        ValueError: the folder cannot be written, holds another kind of export, or holds a file of
+            one of these names that no export wrote.
     """
+    # All files are first written into a fresh folder beside the target, on the same file system:
+    # a full disk or an interrupt then leaves the target as it was, and moving is only renaming.
     try:
         _refuse_foreign(folder, texts)
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -80,20 +100,23 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
 
 def _move(fresh: Path, folder: Path, names: list[str]) -> None:
     if not folder.exists():
-        fresh.chmod(0o755)
+        fresh.chmod(0o755)  # mkdtemp keeps others out
         try:
             fresh.rename(folder)
             return
-        except OSError:  # another process was faster: its folder is there now
+        except OSError:  # another process may have created the folder in the meantime
             if not folder.is_dir():
                 raise
+    # The manifest, which holds the hashes of the others, is replaced last. If the process ends in
+    # between, hashes and files do not fit, and `check_folder` refuses the mixture.
     for name in sorted(names, key=lambda name: name == MANIFEST):
         os.replace(fresh / name, folder / name)
 
 
 def _refuse_foreign(folder: Path, texts: Mapping[str, str]) -> None:
     if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder}: is a file; give a folder")
+        raise ValueError(f"{folder}: is a file; give the path of a folder")
+    # A file is ours if the manifest beside it lists it. Files of other names are not touched.
     there = [name for name in texts if (folder / name).exists()]
     if not there:
         return

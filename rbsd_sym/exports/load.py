@@ -1,4 +1,4 @@
-"""The compiled library of a generated folder: built once, kept in a cache, called from CasADi."""
+"""Compile a generated folder, keep the library in a cache, and call it through CasADi."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from . import c_names as names
 from .folder import Artefact, read_manifest, sha256
 
 OPTIMISED = ("-O2",)
-_KINDS = {  # of a folder, by its manifest: in a sentence, what loads it, what writes it
+# Kind of a folder by its manifest: how a message names it, what loads it, what writes it.
+_KINDS = {
     "model": ("a model", "load_c", "export_c"),
     "simulator": ("a simulator", "load_simulator", "export_simulator"),
     "optimal control problem": ("an optimal control problem", "load_problem", "export_problem"),
@@ -29,12 +30,24 @@ _KINDS = {  # of a folder, by its manifest: in a sentence, what loads it, what w
 
 
 class CompilerMissing(RuntimeError):
-    """There is no C compiler on this machine; everything but building C works without one."""
+    """No C compiler was found; only what builds C needs one.
+
+    Install gcc or clang, or name a compiler by $CC or the argument `compiler`. Without one, use
+    `model.function(name)`, whose numbers are the same.
+    """
 
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """A compiled model; `function(name)` is the CasADi Function (t, x, z, u, p) of the C code."""
+    """The compiled functions of a model, as CasADi Functions; `load_c` returns it.
+
+    >>> library.function("ode")(0, x, z, u, p)
+
+    Fields:
+        path: of the shared library in the cache.
+        name, digest: of the model.
+        functions: names of those that were exported.
+    """
 
     path: Path
     name: str
@@ -42,7 +55,10 @@ class Library:
     functions: tuple[str, ...]
 
     def function(self, name: str) -> ca.Function:
-        """A function of the library.
+        """Return the CasADi Function (t, x, z, u, p) of that name, as in `model.function`.
+
+        Derivatives take their further argument after p, as in the model. A function from a library
+        cannot be differentiated further: export the derivative and ask for it by name.
 
         Raises:
             ValueError: it was not exported.
@@ -61,18 +77,24 @@ def load_c(
     compiler: str | None = None,
     flags: Sequence[str] = OPTIMISED,
 ) -> Library:
-    """Compile a generated folder, if the cache does not hold it yet, and load it.
+    """Compile what `export_c` wrote, unless the cache holds it already, and load the library.
+
+    Source and header are checked against the hashes in the manifest first, so an edited or
+    half-copied folder is refused. The cache is $RBSD_SYM_CACHE, or rbsd_sym in the user's cache
+    folder; its key includes the source text, the compiler and the flags.
+
+    >>> rs.load_c("generated/swing", model).function("dode_dx")
 
     Arguments:
-        source: what `export_c` gave, or its folder.
-        model: if given, the folder must be of this very model.
-        compiler: $CC, cc, gcc or clang by default.
-        flags: beyond those that make a shared library of C99.
+        source: what `export_c` returned, or the path of its folder.
+        model: if given, the folder must have been written from this model (digests are compared).
+        compiler: command of a C compiler; $CC, cc, gcc or clang by default.
+        flags: compiler flags beside those for a shared library of C99.
 
     Raises:
-        ValueError: the folder is stale, damaged, or of another model or ABI.
-        CompilerMissing: there is no compiler.
-        RuntimeError: the compiler failed; with its message.
+        ValueError: the folder is stale, damaged, or of another model, kind or ABI.
+        CompilerMissing: no C compiler was found.
+        RuntimeError: the compiler failed; the message holds its output.
     """
     path, manifest = build_folder(source, "model", "", model, compiler, flags)
     name, digest = str(manifest["name"]), str(manifest["digest"])
@@ -87,20 +109,21 @@ def build_folder(
     compiler: str | None,
     flags: Sequence[str],
 ) -> tuple[Path, dict]:
-    """The library of a generated folder, compiled if the cache does not hold it yet; its manifest.
+    """Return the path of a folder's compiled library, and the folder's manifest.
 
     Arguments:
-        kind: what the folder is to hold.
-        suffix: of its files' names, after the model's.
+        source, model, compiler, flags: as in `load_c`.
+        kind: what the folder must hold, as its manifest says: "model", "simulator", ...
+        suffix: of the names of source and header, after that of the model.
 
     Raises:
-        ValueError, CompilerMissing, RuntimeError: as `load_c`; the folder holds something else.
+        ValueError, CompilerMissing, RuntimeError: as in `load_c`.
     """
     folder = source.folder if isinstance(source, Artefact) else Path(source)
     manifest = read_manifest(folder)
     own = manifest.get("kind", "model")
     if own != kind:
-        what, load, _ = _KINDS.get(own, (f"'{own}'", "the version that wrote it", ""))
+        what, load, _ = _KINDS.get(own, (f"'{own}'", "the version of rbsd_sym that wrote it", ""))
         raise ValueError(f"{folder}: holds {what}; use {load}")
     file = f"{manifest['name']}{suffix}"
     text = check_folder(folder, manifest, file, model)
@@ -108,7 +131,7 @@ def build_folder(
 
 
 def labels_of(manifest: dict) -> dict[str, tuple[tuple[str, str, float], ...]]:
-    """Name, unit and start of each label in a manifest, by group."""
+    """Return (name, unit, start) of each label in a manifest, by group ("x", "u", "p", ...)."""
     return {
         group: tuple((str(name), str(unit), float(start)) for name, unit, start in rows)
         for group, rows in manifest["labels"].items()
@@ -116,10 +139,14 @@ def labels_of(manifest: dict) -> dict[str, tuple[tuple[str, str, float], ...]]:
 
 
 def check_folder(folder: Path, manifest: dict, file: str, model: Model | None) -> str:
-    """The text to compile: <file>.c with <file>.h in it, if both are what was written.
+    """Check a folder against its manifest; return <file>.c with <file>.h inserted.
+
+    Arguments:
+        file: name of source and header without their endings.
+        model: the folder must have been written from it, if it is given.
 
     Raises:
-        ValueError: they are not, or of another model or ABI.
+        ValueError: another ABI or model, a missing file, or one that was changed.
     """
     if manifest["abi"] != version.ABI:
         raise ValueError(
@@ -142,20 +169,27 @@ def check_folder(folder: Path, manifest: dict, file: str, model: Model | None) -
                 f"{folder}: {name} is not the file that was written (its hash differs); export the "
                 "model again"
             )
+    # With the header inserted, one text holds all that determines the library: it is the key of the
+    # cache, and the compiler reads it from a pipe without needing the folder.
     header = texts[f"{file}.h"]
     return texts[f"{file}.c"].replace(f'#include "{file}.h"\n', header, 1)
 
 
 def build(name: str, text: str, compiler: str | None, flags: Sequence[str]) -> Path:
-    """The shared library of a C text; from the cache, if it holds that of the very same text.
+    """Return the path of the shared library of a C text, compiled unless the cache holds it.
 
-    The key is the text, the compiler with its version, and the flags.
+    Arguments:
+        name: first part of the library's file name.
+        text: complete C99 source; it includes standard headers only.
+        compiler, flags: as in `load_c`.
 
     Raises:
-        CompilerMissing: there is no compiler.
-        RuntimeError: the compiler failed; with its message.
+        CompilerMissing: no C compiler was found.
+        RuntimeError: the compiler failed; the message holds its output.
         ValueError: the cache cannot be written.
     """
+    # Everything that can change the machine code is part of the key, the version of the compiler
+    # included, so a library in the cache never needs to be invalidated.
     chosen = _compiler(compiler)
     parts = [version.VERSION, str(version.ABI), text, _identity(tuple(chosen)), " ".join(flags)]
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
@@ -174,26 +208,27 @@ def _compiler(compiler: str | None) -> list[str]:
             return words
     raise CompilerMissing(
         f"no C compiler found ({', '.join(wanted)}); building C needs one, everything else works "
-        "without: use model.function(name)"
+        "without it; install gcc or clang, set $CC, or use model.function(name)"
     )
 
 
-@cache
+@cache  # it starts a process
 def _identity(compiler: tuple[str, ...]) -> str:
+    """Return path, command and first line of the version of a compiler."""
     command = [*compiler, "--version"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     return f"{shutil.which(compiler[0])} {compiler} {result.stdout.splitlines()[:1]}"
 
 
 def _cache_folder() -> Path:
-    """$RBSD_SYM_CACHE, or rbsd_sym in the user's cache folder."""
+    """Return $RBSD_SYM_CACHE, or rbsd_sym in the user's cache folder."""
     chosen = os.environ.get("RBSD_SYM_CACHE")
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(chosen) if chosen else Path(base) / "rbsd_sym"
 
 
 def _build(text: str, library: Path, compiler: list[str], flags: Sequence[str]) -> None:
-    """Compile under a temporary name and put it in place: half a library is never seen."""
+    """Compile a C text into a shared library, completely or not at all."""
     try:
         library.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=library.parent, suffix=".part")
@@ -203,13 +238,17 @@ def _build(text: str, library: Path, compiler: list[str], flags: Sequence[str]) 
             "folder you may write to"
         ) from error
     os.close(handle)
+    # The compiler writes to a temporary name in the cache, and renaming is atomic: a process that
+    # builds the same library at the same time never loads half of it. Where two finish, the second
+    # replaces the first by the same contents.
     shared = ["-std=c99", "-fPIC", "-shared"]
+    # Linkers resolve symbols from left to right, hence -lm at the end.
     command = [*compiler, *shared, *flags, "-x", "c", "-", "-o", temporary, "-lm"]
     try:
         result = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
         if result.returncode:
             raise RuntimeError(f"{' '.join(command)} failed:\n{result.stderr[-2000:]}")
-        os.chmod(temporary, 0o755)
+        os.chmod(temporary, 0o755)  # mkstemp keeps others out
         os.replace(temporary, library)
     finally:
         if os.path.exists(temporary):

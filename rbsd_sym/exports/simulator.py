@@ -1,4 +1,4 @@
-"""A whole simulation as one dependency-free C file: the model and an adaptive method."""
+"""Export of a whole simulation, model and adaptive integrator, as one C file."""
 
 from __future__ import annotations
 
@@ -30,9 +30,15 @@ SIMULATOR = "simulator"
 
 @runtime_checkable
 class Exportable(Protocol):
-    """An integrator that can be written to C.
+    """An integrator that `export_simulator` can write to C.
 
-    `plugin` names CasADi's method; "" stands for DOP853, which has a C text of its own.
+    Fields:
+        plugin: name of CasADi's integrator plugin; "" for DOP853, for which this package has
+            templates of its own.
+        solves_algebraic: whether it integrates models with algebraic unknowns.
+        rtol, atol: tolerances that the example and the loader use by default.
+        max_steps: largest number of steps (for plugins between two output times), fixed in the C
+            code.
     """
 
     plugin: ClassVar[str]
@@ -43,7 +49,7 @@ class Exportable(Protocol):
 
     @property
     def casadi_options(self) -> Mapping[str, Any]:
-        """Options of the plugin."""
+        """Options of CasADi's plugin."""
         ...
 
 
@@ -53,18 +59,33 @@ def export_simulator(
     integrator: Exportable,
     sensitivities: bool = False,
 ) -> Artefact:
-    """Write <name>_simulate.h and .c, example.c, manifest.json and README.md into a folder.
+    """Write a whole simulation as one C file without dependencies.
+
+    The folder receives <name>_simulate.h, <name>_simulate.c, example.c, manifest.json and
+    README.md, either all of them or none. The C function takes times, start, inputs (constant or
+    sampled), parameters and tolerances, chooses its steps itself, allocates nothing, and returns a
+    code; the header documents it.
+
+    >>> artefact = rs.export_simulator(model, "generated/swing_sim", rs.Dop853())
+    >>> trajectory = rs.load_simulator(artefact, model)(2.0, params={"k": 3e4})
 
     Arguments:
-        folder: made if needed; one that holds another kind of export is refused.
-        integrator: `Dop853()`, `Rosenbrock()` or `ExplicitRK()`. Tolerances are arguments in C;
-            max_steps and the options are fixed by the export.
-        sensitivities: also derivatives of the final state by start state, inputs and parameters,
-            forward and adjoint, exact for the steps taken; with `Dop853()`.
+        model: what `compile_scene` returns.
+        folder: created if needed; one that holds another kind of export is refused.
+        integrator: `Dop853()`, or for stiff models and algebraic unknowns `Rosenbrock()`, or
+            `ExplicitRK()`. Tolerances are arguments in C; max_steps and the other options are
+            fixed by the export. IDAS needs its library and cannot be exported.
+        sensitivities: also write derivatives of the final state by start state, inputs and
+            parameters, forward and adjoint, exact for the steps taken; with `Dop853()` only.
+
+    Returns:
+        The `Artefact`, which `load_simulator` takes.
 
     Raises:
-        ValueError: a method that cannot be written to C, or not for this model.
+        ValueError: an integrator that cannot be written to C, or not for this model (algebraic
+            unknowns, events, post-Newton steps, no states); a folder that cannot be written.
     """
+    # The functions of a `compiled` model call a library, so they cannot be written as C.
     model = as_model(model, "export_simulator").plain
     _check(model, integrator, sensitivities)
     name = simulator_name(model)
@@ -79,6 +100,15 @@ def export_simulator(
         "example.c": example_text(model, integrator),
         "README.md": card_text(model, integrator, sensitivities),
     }
+    texts[MANIFEST] = _manifest(model, integrator, sensitivities, texts)
+    target = Path(folder)
+    write_folder(target, texts)
+    return Artefact(target, model.name, model.digest, ())
+
+
+def _manifest(
+    model: Model, integrator: Exportable, sensitivities: bool, texts: Mapping[str, str]
+) -> str:
     more = {
         "kind": SIMULATOR,
         "functions": {},
@@ -86,13 +116,11 @@ def export_simulator(
         "rtol": integrator.rtol,
         "atol": integrator.atol,
         "sensitivities": sensitivities,
+        # Start values that depend on parameters are constants in C, at the defaults of these.
         "moves": bool(ca.symvar(model.dae.x_start)),
     }
     more |= {"events": list(model.events)} if model.events else {}
-    texts[MANIFEST] = manifest_text(model, texts, ("x", "z", "u", "p", "idle_p"), more)
-    target = Path(folder)
-    write_folder(target, texts)
-    return Artefact(target, model.name, model.digest, ())
+    return manifest_text(model, texts, ("x", "z", "u", "p", "idle_p"), more)
 
 
 def _check(model: Model, integrator: Exportable, sensitivities: bool) -> None:
@@ -110,7 +138,7 @@ def _check(model: Model, integrator: Exportable, sensitivities: bool) -> None:
     if model.dae.updates or (model.events and not integrator.plugin):
         what = "post_newton_step" if model.dae.updates else "events"
         raise ValueError(
-            f"model '{model.name}': {what}, which {kind} does not have in C; "
+            f"model '{model.name}': {what}, which {kind} does not support in C; "
             + (
                 "use GeneralizedAlpha().step_function(model)"
                 if model.dae.updates
@@ -118,12 +146,18 @@ def _check(model: Model, integrator: Exportable, sensitivities: bool) -> None:
             )
         )
     if not model.n_x:
-        raise ValueError(f"model '{model.name}': no states, so there is nothing to integrate")
+        raise ValueError(
+            f"model '{model.name}': no states, so there is nothing to integrate; call its outputs "
+            "through export_c, or compile with minimal=False"
+        )
     if sensitivities and integrator.plugin:
         raise ValueError(f"export_simulator: {kind} has no sensitivities in C; give Dop853()")
 
 
 def _explicit(model: Model, integrator: Exportable, sensitivities: bool) -> str:
+    """Return the source for DOP853: the rates and our own templates of the method."""
+    # CasADi generates the rates only. Forward and adjoint products of the rates carry the
+    # derivatives through each stage, so that they are exact for the steps taken.
     wanted = ["ode", *(("ode_forward", "ode_adjoint") if sensitivities else ())]
     generator = ca.CodeGenerator(f"{model.name}_sim_casadi")
     wrappers, loops = [], {}
@@ -146,6 +180,7 @@ def _explicit(model: Model, integrator: Exportable, sensitivities: bool) -> str:
 
 
 def _renamed(function: ca.Function, name: str) -> ca.Function:
+    # CasADi names a C function after its Function, so it is made again under the C symbol.
     symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
     result = ca.densify(function(*symbols))
     return ca.Function(name, symbols, [result], function.name_in(), function.name_out())

@@ -1,4 +1,9 @@
-"""CasADi's generated Rosenbrock and explicit methods, with what it fixes made arguments."""
+"""CasADi's Rosenbrock and explicit integrators as C, with times and tolerances as arguments.
+
+CasADi fixes the interval and the tolerances of an integrator when it is constructed, and its
+generated code reports nothing about the run. Here the interval is scaled to [0, 1] and made a
+parameter, and a few lines of the generated text are replaced.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +21,21 @@ from .simulator_texts import simulator_file, simulator_marks
 
 
 def casadi_text(model: Model, integrator: Any) -> str:
-    """The source: CasADi's integrator over [0, 1]; times, inputs, tolerances are its parameters."""
+    """Return the source of a simulator with CasADi's integrator over s in [0, 1].
+
+    Arguments:
+        integrator: an `Exportable` with a plugin.
+
+    Raises:
+        RuntimeError: this version of CasADi generates its integrators differently.
+    """
+    # Parameters q of the integrator: p; the inputs at both ends of the interval, linear between;
+    # then t0, t1 - t0, rtol, atol, the first step over t1 - t0, and with events the time in s
+    # within which two of them count as simultaneous. As t = t0 + s (t1 - t0), the rates are
+    # dx/ds = (t1 - t0) ode.
     n_q = model.n_p + 2 * model.n_u + (6 if model.events else 5)
+    # Flat models are written as scalar code. Models of kernels are called instead of expanded, and
+    # events need branches that evaluate one side only; both are MX.
     symbol = ca.SX if not model.calls and model.function("ode").is_a("SXFunction") else ca.MX
     symbol = ca.MX if model.events else symbol
     s, q = symbol.sym("s"), symbol.sym("q", n_q)
@@ -34,6 +52,7 @@ def casadi_text(model: Model, integrator: Any) -> str:
         "ode": more[1] * model.function("ode")(*arguments),
         "alg": model.function("alg")(*arguments),
     }
+    # The values of these tolerances are irrelevant: `_at_run_time` replaces them by arguments.
     options = dict(integrator.casadi_options) | {"reltol": 1e-6, "abstol": 1e-8}
     name = f"{model.name}_sim_run"
     if model.events:
@@ -53,7 +72,7 @@ def casadi_text(model: Model, integrator: Any) -> str:
 
 
 def _event_marks(model: Model, text: str) -> dict[str, Any]:
-    """Marks of the templates that differ for a model with events."""
+    """Return the marks of the templates that differ for a model with events."""
     upper, extra = names.constant(model.name, "sim"), n_extra(model) if model.events else 0
     marks: dict[str, Any] = {
         "name": model.name,
@@ -87,13 +106,19 @@ def _sizes(text: str, function: str, mark: str) -> dict[str, str]:
 
 
 def _at_run_time(text: str, place: int, events: bool) -> str:
-    """Tolerances and steps from q[place - 1 ...], and a report to the idle result of quadratures.
+    """Replace the numbers that CasADi writes into its integrator by entries of its parameters.
 
-    CasADi writes them as numbers, each on a line of its own.
+    Arguments:
+        text: code that CasADi generated.
+        place: index of rtol in q; the length of the interval precedes it, atol and the first step
+            follow.
+        events: whether the model has events.
 
     Raises:
-        RuntimeError: this version of CasADi writes its integrators in another way.
+        RuntimeError: this version of CasADi generates its integrators differently.
     """
+    # The integrator has no quadratures, so their result, res[2], is free to return time reached,
+    # steps, rejected steps, evaluations, next and last step to the C code around it.
     report = (
         "d.t, (casadi_real)d.n_steps, (casadi_real)d.n_reject, (casadi_real)d.n_rhs, d.h_next, d.h"
     )
@@ -103,6 +128,7 @@ def _at_run_time(text: str, place: int, events: bool) -> str:
     for pattern, new in (
         (r"  p\.reltol = [^;]+;", f"  p.reltol = arg[2][{place}];"),
         (r"  p\.abstol = [^;]+;", f"  p.abstol = arg[2][{place + 1}];"),
+        # The largest step is given in s, and the integrator's own time is s in [0, 1].
         (r"  p\.h_max = ([^;]+);", rf"  p.h_max = \1 / arg[2][{place - 1}];"),
         (r"  p\.h_init = [^;]+;", f"  p.h_init = arg[2][{place + 2}];"),
         (
@@ -111,13 +137,16 @@ def _at_run_time(text: str, place: int, events: bool) -> str:
         ),
     ):
         text, count = re.subn(pattern, new, text)
+        # A line that was not found exactly once would leave CasADi's fixed number in force, and
+        # the simulator would ignore an argument without any sign of it.
         if count != 1:
             raise RuntimeError(
-                f"CasADi {ca.CasadiMeta.version()} writes its integrators differently; use 3.8.2"
+                f"CasADi {ca.CasadiMeta.version()} generates its integrators differently; use 3.8.2"
             )
     return text
 
 
 def _size(text: str, function: str, key: str) -> str:
+    """Return the size of a work array, as the generated code states it, and at least 1."""
     match = re.search(rf"int {function}_work\([^)]*\) {{.*?\*sz_{key} = (\d+);", text, re.S)
     return match[1] if match and match[1] != "0" else "1"

@@ -1,4 +1,4 @@
-"""An exported simulator, compiled and called from Python: one call is one whole simulation."""
+"""Compile an exported simulator and call it from Python: one call is one whole simulation."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ from .folder import Artefact
 from .load import OPTIMISED, build_folder, labels_of
 from .simulator import SIMULATOR
 
+# Outcome of each code that the C function returns, in the order of the enum in its header. Code 1,
+# a bad argument, is raised before it is looked up here.
 _OUTCOMES = (
     Outcome.reached_end,
     Outcome.solver_failed,
@@ -32,10 +34,11 @@ _OUTCOMES = (
     Outcome.endless_events,
     Outcome.event,
 )
-_ROOM = 10_000  # events told
+_ROOM = 10_000  # events of which time and name are recorded
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
+# Layout of the struct <name>_stats in the header, field by field.
 class _RunStats(ctypes.Structure):
     _fields_ = (
         ("t", ctypes.c_double),
@@ -56,7 +59,7 @@ class _EventStats(_RunStats):
 
     @classmethod
     def with_room(cls, events: bool) -> _RunStats:
-        """Statistics, with room for events if there are any."""
+        """Return empty statistics, with arrays to record events if the model has any."""
         if not events:
             return _RunStats()
         stats = cls()
@@ -68,13 +71,23 @@ class _EventStats(_RunStats):
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """A compiled simulator; it can be sent to other processes of the same machine.
+    """A compiled simulator; a call runs one simulation. `load_simulator` returns it.
 
-    Arguments:
-        labels: name, unit and start value of each entry of x, z, u, p and of parameters that have
-            no effect on the motion ("idle_p").
-        rtol, atol: used where a call gives none.
-        moves: whether the start depends on parameters; then values of them need the model.
+    It can be pickled and sent to other processes of the same machine, where it loads the library
+    again; the model is not sent with it, so trajectories made there have no outputs.
+
+    >>> simulator = rs.load_simulator("generated/swing_sim", model)
+    >>> trajectory = simulator(2.0, params={"k": 3e4}, inputs={"push": ([0, 1, 2], [0, 5, 0])})
+
+    Fields:
+        path: of the shared library in the cache.
+        name, digest: of the model.
+        labels: name, unit and start value of each entry of "x", "z", "u", "p", and of parameters
+            that have no effect on the motion, "idle_p".
+        rtol, atol: tolerances of a call that gives none.
+        moves: whether the start depends on parameters; changing them then needs the model.
+        model: if known, it evaluates the outputs of trajectories.
+        events: names of the model's events.
     """
 
     path: Path
@@ -92,7 +105,10 @@ class Simulator:
 
     @property
     def function(self) -> Any:
-        """The C function <name>_simulate_sampled as ctypes has it, for who counts microseconds."""
+        """The C function <name>_simulate_sampled as a ctypes function.
+
+        Calling it directly avoids what Python adds to each call of the simulator.
+        """
         return _loaded(str(self.path), f"{self.name}_simulate_sampled")
 
     def __call__(
@@ -107,17 +123,20 @@ class Simulator:
         rtol: float | None = None,
         atol: float | None = None,
     ) -> Trajectory:
-        """Simulate; a failure is data in `outcome`.
+        """Simulate from `t_start` to `t_end` (s); a failure is data in `trajectory.outcome`.
 
         Arguments:
-            start, params: values by name; the others keep their default. Algebraic unknowns
-                follow from the states: values of them are not used.
             inputs: by name: a number, or samples (times, values), linear between them.
-            points: saved after the start, equally spaced.
+            params: values by name; the others keep their default.
+            start: values of states by name; the others keep their default. Values of algebraic
+                unknowns are ignored, since they follow from the states.
+            points: number of output times after the start, equally spaced.
+            rtol, atol: relative and absolute local error; by default those of the export.
 
         Raises:
-            ValueError: unknown names, values that make no sense.
+            ValueError: unknown names, times that do not increase, numbers that are not positive.
         """
+        # Parameters that affect outputs only are not arguments in C; the trajectory keeps them.
         idle = [name for name, _, _ in self.labels["idle_p"]]
         p = self._values("p", {k: v for k, v in (params or {}).items() if k not in idle})
         unknowns = [name for name, _, _ in self.labels["z"]]
@@ -142,8 +161,8 @@ class Simulator:
         )
         if code == 1:
             raise ValueError(
-                f"simulator '{self.name}': from {t_start} to {t_end} s, {points} points, "
-                f"rtol, atol {tolerances}; times increase, points and tolerances are above 0"
+                f"simulator '{self.name}': from {t_start} to {t_end} s, {points} points, rtol, "
+                f"atol {tolerances}; give times that increase, and points and tolerances above 0"
             )
         t = np.append(t_start, t_start + (t_end - t_start) * np.arange(1, points + 1) / points)
         values = {name: value for name, _, value in self.labels["idle_p"]} | dict(params or {})
@@ -170,13 +189,13 @@ class Simulator:
         for name, value in given.items():
             if name not in names:
                 raise ValueError(
-                    f"simulator '{self.name}': no {name!r} among {', '.join(names) or 'none'}"
+                    f"simulator '{self.name}': no {name!r}; there are: {', '.join(names) or 'none'}"
                 )
             values[names.index(name)] = value
         return values
 
     def _samples(self, inputs: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Times (n,) of all samples and values (n, n_u) there."""
+        """Return the times (n,) of all samples, and the values (n, n_u) of all inputs there."""
         constant = {k: float(v) for k, v in inputs.items() if is_number(v)}
         base = self._values("u", constant | dict.fromkeys(set(inputs) - set(constant), 0.0))
         sampled = {k: _parts(v) for k, v in inputs.items() if k not in constant}
@@ -189,6 +208,8 @@ class Simulator:
                     f"simulator '{self.name}', input '{name}': give a number or samples (times, "
                     "values) of one length of at least 2, times increasing"
                 )
+        # The C function takes one set of times for all inputs. On the union of all times each
+        # input is still linear between neighbours, so nothing is lost by interpolating it.
         times = np.unique(np.concatenate([t for t, _ in sampled.values()]))
         u = np.repeat(base[None, :], len(times), axis=0)
         names = [name for name, _, _ in self.labels["u"]]
@@ -208,11 +229,15 @@ class Simulator:
         code: int,
         stats: _RunStats,
     ) -> Trajectory:
-        z = np.full(len(self.labels["z"]), np.nan)  # known to the model alone
+        # The C function returns algebraic unknowns at the output times but not at the start; only
+        # the model can solve for those.
+        z = np.full(len(self.labels["z"]), np.nan)
         if self.model is not None and len(z):
             guess = self.model.dae.start_values(p)[1]
             first = np.array([np.interp(t[0], times, column) for column in u.T])
             z, _ = self.model.consistent(float(t[0]), x, guess, first, p)
+        # After a failure, rows beyond the time reached were never written; the factor allows for
+        # rounding of an output time that was just reached.
         rows = np.vstack([np.concatenate([x, z]), out])
         reached = t <= stats.t * (1 + 1e-14) if code else np.full(len(t), True)
         n = max(1, int(reached.sum()))
@@ -251,7 +276,7 @@ class Simulator:
         )
 
 
-@cache
+@cache  # keeps the library loaded, and the types of its arguments set
 def _loaded(path: str, name: str) -> Any:
     function, number, whole = getattr(ctypes.CDLL(path), name), ctypes.c_double, ctypes.c_int
     function.restype = whole
@@ -273,7 +298,7 @@ def _loaded(path: str, name: str) -> Any:
 
 
 def _parts(value: Any) -> tuple[np.ndarray, ...]:
-    """Times and values of samples; nothing, if it is something else."""
+    """Return the times and values of samples, or an empty tuple for anything else."""
     try:
         return tuple(np.array(part, float) for part in value)
     except (TypeError, ValueError):
@@ -290,18 +315,24 @@ def load_simulator(
     compiler: str | None = None,
     flags: Sequence[str] = OPTIMISED,
 ) -> Simulator:
-    """Compile what `export_simulator` wrote, if the cache does not hold it yet, and load it.
+    """Compile what `export_simulator` wrote, unless the cache holds it already, and load it.
+
+    Source and header are checked against the hashes in the manifest first, so an edited or
+    half-copied folder is refused.
+
+    >>> simulator = rs.load_simulator("generated/swing_sim", model)
+    >>> simulator(2.0)["arm.position"]
 
     Arguments:
-        source: what `export_simulator` gave, or its folder.
-        model: if given, the folder must be of this very model; trajectories then have outputs, and
-            the algebraic unknowns at the start, which are NaN otherwise.
+        source: what `export_simulator` returned, or the path of its folder.
+        model: if given, the folder must have been written from this model. Trajectories then have
+            outputs, and the algebraic unknowns at the start, which are NaN otherwise.
         compiler, flags: as in `load_c`.
 
     Raises:
-        ValueError: the folder is stale, damaged, no simulator, or of another model or ABI.
-        CompilerMissing: there is no compiler.
-        RuntimeError: the compiler failed; with its message.
+        ValueError: the folder is stale, damaged, not a simulator, or of another model or ABI.
+        CompilerMissing: no C compiler was found.
+        RuntimeError: the compiler failed; the message holds its output.
     """
     path, manifest = build_folder(source, SIMULATOR, "_simulate", model, compiler, flags)
     labels = {"idle_p": (), **labels_of(manifest)}

@@ -1,4 +1,4 @@
-"""Header, card and example of an exported simulator."""
+"""Texts of an exported simulator: header, card, example, and the frame of the source."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from .header import banner, enum_lines, index_lines
 
 
 def simulator_name(model: Model) -> str:
-    """Name of the files, and of the main function."""
+    """Return the name of the files without their ending, which is that of the main function."""
     return f"{model.name}_simulate"
 
 
 def simulator_marks(model: Model, integrator: Any) -> dict[str, Any]:
-    """What all C templates need."""
+    """Return the marks that all C templates use."""
     rows = model.n_x + model.n_z
     return {
         "name": model.name,
@@ -33,7 +33,12 @@ def simulator_marks(model: Model, integrator: Any) -> dict[str, Any]:
 
 
 def simulator_file(model: Model, code: str, parts: list[str]) -> str:
-    """The source: CasADi's code, start values, and the parts of the method."""
+    """Return the source: CasADi's code, start values, and the parts of the method.
+
+    Arguments:
+        code: what CasADi generated.
+        parts: filled templates, in an order in which C can compile them.
+    """
     title = f"{simulator_name(model)}.c: a model and the method that integrates it"
     return "\n".join(
         [
@@ -53,7 +58,7 @@ def simulator_file(model: Model, code: str, parts: list[str]) -> str:
 
 
 def header_text(model: Model, integrator: Any, sensitivities: bool) -> str:
-    """The text of <name>_simulate.h."""
+    """Return the text of <name>_simulate.h."""
     upper, dae, rows = names.constant(model.name, "sim"), model.dae, model.n_x + model.n_z
     groups = (
         ("x", "States: unit, start value.", dae.x_labels),
@@ -63,6 +68,8 @@ def header_text(model: Model, integrator: Any, sensitivities: bool) -> str:
     )
     sizes = [(f"{upper}_N_{kind.upper()}", len(labels), "") for kind, _, labels in groups]
     indices = [line for group in groups for line in index_lines(f"{model.name}_sim", *group)]
+    # Estimates of how many vectors of the states' size are on the stack at once; for DOP853 they
+    # are 16 slopes and a few states, and with sensitivities the slopes of the derivatives too.
     stack = 8 * rows * (120 if integrator.plugin else 70 if sensitivities else 30)
     marks = {
         "name": model.name,
@@ -92,9 +99,11 @@ def header_text(model: Model, integrator: Any, sensitivities: bool) -> str:
 
 
 def _of_events(model: Model, upper: str) -> dict[str, str]:
-    """What the header of a model with events has beside."""
+    """Return the marks of the header that a model with events fills."""
     events = tuple(Label("", name) for name in model.events)
     indices = index_lines(f"{model.name}_sim", "event", "Events.", events)
+    # The mark is just before the brace that closes the enum of codes. So this text closes that enum
+    # itself, and leaves the enum of the events open for the brace of the template.
     return {
         "EVENT_CODES": (
             f",\n  {upper}_ENDLESS_EVENTS = 7, /* ever faster, at stats->t */"
@@ -111,13 +120,13 @@ def _of_events(model: Model, upper: str) -> dict[str, str]:
 
 
 def _about(count: int) -> int:
-    """Rounded up to one digit."""
+    """Return a count rounded up to one significant digit."""
     size = 10 ** (len(str(count)) - 1)
     return -(-count // size) * size
 
 
 def example_text(model: Model, integrator: Any) -> str:
-    """A program that simulates one second and prints the state at its end."""
+    """Return the text of example.c, which simulates one second and prints the state at its end."""
     name, upper = simulator_name(model), names.constant(model.name, "sim")
     rows = f"{upper}_N_X + {upper}_N_Z"
     return "\n".join(
@@ -144,7 +153,7 @@ def example_text(model: Model, integrator: Any) -> str:
 
 
 def card_text(model: Model, integrator: Any, sensitivities: bool) -> str:
-    """The text of README.md."""
+    """Return the text of README.md: what the folder holds, its use, and how to write it again."""
     name, method = simulator_name(model), type(integrator).__name__
     more = ", sensitivities=True" if sensitivities else ""
     lines = [

@@ -1,4 +1,8 @@
-"""Figures: a trajectory, a table. They return matplotlib figures, or write a file."""
+"""Figures of results: curves, pictures and films of motions, charts of studies.
+
+All functions return a matplotlib figure, but `animate`, which writes a file. None of them uses
+pyplot, so no backend is chosen and nothing is shown.
+"""
 
 from .animation import animate, snapshot
 from .curves import trajectory

@@ -1,4 +1,4 @@
-"""Columns of a trajectory over time."""
+"""Curves of a trajectory's columns over time."""
 
 from __future__ import annotations
 
@@ -16,16 +16,21 @@ if TYPE_CHECKING:
 
 
 def trajectory(trajectory: Trajectory, columns: Sequence[str]) -> Figure:
-    """One panel for each column over time, with its components, units in the labels.
+    """Return a figure with a panel for each column, its components over time.
+
+    Axes carry quantity and unit. Colours and line styles distinguish up to 32 components.
+
+    >>> rs.plots.trajectory(trajectory, ["arm.position", "joint.force_local"]).savefig("arm.png")
 
     Arguments:
-        trajectory: of `simulate`, or loaded.
-        columns: names such as "arm.position" or "joint.force_local".
+        trajectory: from `simulate`, or loaded from a file.
+        columns: names of states, inputs or outputs, such as "arm.position".
 
     Raises:
         ValueError: no columns, or an unknown one.
     """
-    from matplotlib.figure import Figure  # drawing is not needed to simulate, and slow to import
+    # Matplotlib is imported where it is used: it is slow to import, and simulations do not need it.
+    from matplotlib.figure import Figure
 
     names = [columns] if isinstance(columns, str) else list(columns)
     if not names:
@@ -45,9 +50,10 @@ def trajectory(trajectory: Trajectory, columns: Sequence[str]) -> Figure:
         panel.set_title(name, loc="left", fontsize="medium")
         panel.grid(alpha=0.3)
         panel.margins(x=0)
+        # The limits of a constant column would otherwise enlarge its rounding errors to full size.
         if np.ptp(values) < 1e-12 * max(1.0, float(np.abs(values).max())):
             middle = float(values.mean())
-            panel.set_ylim(middle - 1, middle + 1)  # a constant is drawn as one, not its rounding
+            panel.set_ylim(middle - 1, middle + 1)
         if values.shape[1] > 1:
             panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     panels[-1].set_xlabel("time [s]")

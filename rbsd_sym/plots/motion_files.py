@@ -1,4 +1,4 @@
-"""Pictures into one file, whole or not at all: a GIF, or a page that plays them."""
+"""Write pictures into one file: a GIF, or an HTML page that plays them."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ import numpy as np
 
 from .style import COLOURS
 
-_COLOURS = 96  # of all pictures of a file together
+_COLOURS = 96  # number of colours of all pictures of a file together
 _FIXED = ("#FFFFFF", *COLOURS)
-_WEIGHT = 0.5  # of a colour in the palette: its number of pixels to this power
-_SAMPLES = 8  # pictures that the palette is made from
+_WEIGHT = 0.5  # the weight of a colour in the palette is its number of pixels to this power
+_SAMPLES = 8  # pictures from which the palette is made
 
 
 class Palette:
-    """One set of colours for all pictures of a film, so that what rests costs nothing.
+    """One set of colours for all pictures of a film.
+
+    With common colours, pixels that do not change have equal indices, so each picture needs to
+    store only what changes.
 
     Arguments:
-        still: what all pictures have in common (height, width, 3).
-        some: a few of the pictures.
+        still: pixels (height, width, 3) of what does not move.
+        some: a few of the pictures, pixels likewise.
     """
 
     def __init__(self, still: np.ndarray, some: Sequence[np.ndarray]) -> None:
@@ -33,7 +36,9 @@ class Palette:
 
         red, green, blue = np.vstack([still, *some]).reshape(-1, 3).astype(np.int64).T
         packed, counts = np.unique(red << 16 | green << 8 | blue, return_counts=True)
-        times = np.ceil(counts**_WEIGHT).astype(int)  # small things keep their colours
+        # Weighted by the number of pixels, large faces would take all colours of the palette; the
+        # square root leaves some to thin lines and arrows.
+        times = np.ceil(counts**_WEIGHT).astype(int)
         kinds = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], 1).astype(np.uint8)
         found = Image.fromarray(np.repeat(kinds, times, axis=0)[None, :, :]).quantize(
             _COLOURS - len(_FIXED), Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
@@ -46,16 +51,17 @@ class Palette:
         self.still = self.indices(still)
 
     def indices(self, pixels: np.ndarray) -> np.ndarray:
-        """Index (height, width) of the colour of each pixel (height, width, 3)."""
+        """Return the index (height, width) of the colour of each pixel (height, width, 3)."""
         from PIL import Image
 
         picture = Image.fromarray(pixels)
         index = np.array(picture.quantize(palette=self.image, dither=Image.Dither.NONE))
-        index[(pixels == 255).all(axis=2)] = 0  # Pillow's nearest colour is not always the nearest
+        # Pillow does not always find the nearest colour; a white background must remain white.
+        index[(pixels == 255).all(axis=2)] = 0
         return index
 
     def picture(self, indices: np.ndarray, over: np.ndarray | None = None) -> Any:
-        """A picture, transparent where it is the one that it is laid over."""
+        """Return a picture of Pillow, transparent where it equals the one it is laid over."""
         from PIL import Image
 
         shown = indices if over is None else np.where(indices == over, _COLOURS, indices)
@@ -64,7 +70,7 @@ class Palette:
         return image
 
     def png(self, indices: np.ndarray, over: np.ndarray | None = None) -> str:
-        """The same as a PNG in base 64."""
+        """Return the same as a PNG in base 64."""
         buffer = io.BytesIO()
         picture = self.picture(indices, over)
         picture.save(buffer, "PNG", optimize=True, transparency=_COLOURS)
@@ -72,19 +78,29 @@ class Palette:
 
 
 def sampled(count: int) -> list[int]:
-    """Indices of the pictures that a palette is made from."""
+    """Return the indices of the pictures from which a palette is made."""
     return sorted({int(i) for i in np.linspace(0, count - 1, min(count, _SAMPLES)).round()})
 
 
 def write_gif(
     file: IO[bytes], pictures: Iterable[np.ndarray], palette: Palette, fps: float, count: int
 ) -> None:
-    """Pictures as a GIF that repeats; its clock ticks in 10 ms."""
+    """Write pictures as a GIF that repeats.
+
+    Arguments:
+        file: open for writing.
+        pictures: pixels (height, width, 3) of each.
+        palette: made for them.
+        fps: pictures per second.
+        count: number of pictures.
+    """
     indices = [palette.indices(picture) for picture in pictures]
     first, *rest = (
         palette.picture(own, before)
         for own, before in zip(indices, [None, *indices[:-1]], strict=True)
     )
+    # A GIF counts in units of 10 ms. Rounding the times of the pictures instead of their durations
+    # keeps the length of the film right.
     ticks = np.round(np.arange(count + 1) * 100 / fps).astype(int)
     first.save(
         file,
@@ -107,7 +123,13 @@ def write_page(
     clocks: Sequence[str],
     title: str,
 ) -> None:
-    """Pictures in one HTML page with a player; it loads nothing from elsewhere."""
+    """Write pictures as one HTML page with a player, which loads no other file.
+
+    Arguments:
+        file, pictures, palette, fps: as in `write_gif`.
+        clocks: text below each picture.
+        title: of the page.
+    """
     height, width = palette.still.shape
     data = {
         "fps": fps,
@@ -115,6 +137,7 @@ def write_page(
         "still": palette.png(palette.still),
         "frames": [palette.png(palette.indices(picture), palette.still) for picture in pictures],
     }
+    # The data are inside a script: an escaped "<" keeps a text such as "</script>" from ending it.
     words = {
         "TITLE": html.escape(title),
         "LAST": str(len(clocks) - 1),

@@ -1,4 +1,4 @@
-"""The figure of a moving scene: one set of artists, moved from time to time."""
+"""The figure of a moving scene: one set of artists, which are moved from picture to picture."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from ..model.trajectory import Column
 
 AXES = ("#D55E00", "#009E73", "#0072B2")  # x, y, z
-ARROW = "#000000"  # with a white rim, seen before any colour
-_HEIGHT = 4.4  # of a figure, inches
-_WIDTH = 6.4
-_BESIDE = 3.9  # width of a column beside, inches
-_TALL = 0.86  # of the scene's panel, over the figure
-_MARGIN = 0.05
+ARROW = "#000000"  # with a white rim, visible in front of any colour
+_HEIGHT = 4.4  # of the figure, inches
+_WIDTH = 6.4  # of the scene's part, inches
+_BESIDE = 3.9  # width of the panel with a column, inches
+_TALL = 0.86  # height of the scene's panel over that of the figure
+_MARGIN = 0.05  # around the scene, over its size on the screen
 _DARK = 0.55  # brightness of a face in the shade
 _BEHIND = 0.35  # opacity of a spring behind a box
 _LIGHT = (-0.55, 0.78, 0.3)  # to the right of the picture, up, and towards the eye
 
 
 class Polyline(NamedTuple):
-    """A line in space (k, 3) and how it is drawn."""
+    """A line through points (k, 3) in space, m, and how it is drawn."""
 
     points: np.ndarray
     colour: tuple[float, ...]
@@ -42,7 +42,11 @@ class Polyline(NamedTuple):
     opacity: float = 1.0
 
     def cut(self, dim: np.ndarray) -> list[Polyline]:
-        """Parts that are hidden and parts that are not; `dim` tells it of each segment."""
+        """Return the parts that are hidden, in a lower opacity, and those that are visible.
+
+        Arguments:
+            dim: (k - 1,) whether each segment is hidden.
+        """
         at = [0, *(np.flatnonzero(dim[1:] != dim[:-1]) + 1), len(dim)]
         return [
             self._replace(points=self.points[i : j + 1], opacity=_BEHIND if dim[i] else 1.0)
@@ -52,7 +56,14 @@ class Polyline(NamedTuple):
 
 
 class Stage:
-    """A figure and the artists that move in it."""
+    """A figure of a scene, and the artists that move in it.
+
+    Arguments:
+        name: of the scene, the title.
+        track: what is drawn, at all times.
+        view: elevation and azimuth, degrees.
+        beside: name, times (n,) and values of a column to draw beside the scene.
+    """
 
     def __init__(
         self,
@@ -61,7 +72,9 @@ class Stage:
         view: tuple[float, float],
         beside: tuple[str, np.ndarray, Column] | None = None,
     ) -> None:
-        from matplotlib.figure import Figure  # drawing is not needed to simulate, slow to import
+        # Matplotlib is imported where it is used: it is slow to import, and simulations do not
+        # need it.
+        from matplotlib.figure import Figure
 
         self.name, self.track, self.level = name, track, level(track.up)
         wide = _WIDTH + (_BESIDE if beside else 0.0)
@@ -69,6 +82,8 @@ class Stage:
         self.share = _WIDTH / wide
         points = track.points.reshape(-1, 3)
         ground, step = _ground(points @ self.level, track.extent)
+        # The camera and the limits are fixed by all that is drawn at any time, ground included, so
+        # that nothing leaves the picture and the background need not be drawn again.
         sides = np.array([[x, y, ground[0, 2]] for x in ground[:, 0] for y in ground[:, 1]])
         every = np.vstack([points, sides @ self.level.T])
         self.camera: Camera = camera(every, track.up, *view)
@@ -89,6 +104,8 @@ class Stage:
         panel.set_axis_off()
         flat = self.camera.screen(every)
         low, high = flat.min(axis=0), flat.max(axis=0)
+        # One scale for both directions, or the picture would be distorted: that of the direction
+        # that needs more room. `half` is half the panel's width and height on the screen.
         sides = np.array([right * _WIDTH, _TALL * _HEIGHT])  # inches
         half = float(((high - low) / sides).max()) * sides * (1 + _MARGIN) / 2
         middle = (low + high) / 2
@@ -142,7 +159,7 @@ class Stage:
         )
 
     def _draw_triad(self) -> None:
-        """World axes, in the lower left corner."""
+        """Draw the world axes in the lower left corner."""
         width = 0.1 * self.share
         inset = self.figure.add_axes((0.01 * self.share, 0.02, width, 0.145))
         inset.set_axis_off()
@@ -158,6 +175,7 @@ class Stage:
         if self.track.kinetic is None or self.track.potential is None:
             return None
         panel = self.figure.add_axes((0.925 * self.share, 0.15, 0.04 * self.share, 0.68))
+        # The axis holds the largest energy of the whole motion, so heights can be compared.
         most = float((self.track.kinetic + self.track.potential).max())
         panel.set_ylim(0, most or 1.0)
         panel.set_xlim(0, 1)
@@ -217,12 +235,16 @@ class Stage:
 
     @property
     def moving(self) -> list[Any]:
-        """The artists that move, from back to front."""
+        """The artists that move, in the order in which they are painted."""
         found = [self.shadows, self.boxes, self.feet, self.lines, self.shafts, self.heads]
         return [*found, *(self.energy or ()), *([self.cursor] if self.cursor else []), self.clock]
 
     def show(self, k: int, clock: str) -> None:
-        """Move everything to the k-th time of the track."""
+        """Move everything to the k-th time of the track.
+
+        Arguments:
+            clock: text that shows the time.
+        """
         track, eye = self.track, self.camera.eye
         place = track.boxes.p[k], track.boxes.R[k], track.edges
         self._show_boxes(corners(*place), place)
@@ -255,6 +277,8 @@ class Stage:
             normals = NORMALS @ axes[i].T
             middles = centres[i] + normals * np.repeat(edges[i], 2)[:, None] / 2
             shade = normals @ self.light
+            # Only faces whose outer side is towards the eye are painted. A convex body needs no
+            # order among these.
             for j in np.flatnonzero(np.einsum("ij,ij->i", normals, self.camera.eye - middles) > 0):
                 bright = _DARK + (1 - _DARK) * (1 + shade[j]) / 2
                 faces.append(flat[i][FACES[j]])
@@ -263,6 +287,7 @@ class Stage:
         self.boxes.set_verts(faces)
         self.boxes.set_facecolor(np.array(fills).reshape(-1, 3))
         self.boxes.set_edgecolor(np.array(rims).reshape(-1, 3))
+        # Shadows are those of light from straight above: the faces, moved down to the ground.
         local = points @ self.level
         local[..., 2] = self.floor
         self.shadows.set_verts(
@@ -270,12 +295,12 @@ class Stage:
         )
 
     def _pieces(self, k: int) -> list[Polyline]:
-        """Springs and marker axes, cut where they go behind a box."""
+        """Return springs and joint axes, cut where they pass behind a box."""
         track, whole = self.track, []
         for i, diameter in enumerate(track.diameters):
             ends, turns = track.ends.p[k, 2 * i : 2 * i + 2], track.ends.R[k, 2 * i : 2 * i + 2]
             path, colour = spring(ends[0], ends[1], turns[0][:, 2], diameter), track.colours[i]
-            dashes = [path[j : j + 3] for j in range(0, len(path) - 1, 4)]  # of one that sleeps
+            dashes = [path[j : j + 3] for j in range(0, len(path) - 1, 4)]
             every = [path] if track.active[k, i] else dashes
             whole += [Polyline(dash, tuple(colour), 1.1) for dash in every]
             for place, turn in zip(ends, turns, strict=True):
@@ -285,6 +310,7 @@ class Stage:
                 ]
         if not whole:
             return []
+        # A segment counts as hidden if its middle is; one call tests the segments of all lines.
         middles = [(piece.points[1:] + piece.points[:-1]) / 2 for piece in whole]
         place = track.boxes.p[k], track.boxes.R[k], track.edges
         dim = hidden(self.camera.eye, np.vstack(middles), *place)
@@ -307,7 +333,12 @@ class Stage:
 
 
 class Film:
-    """The pictures of a stage as pixels; what does not move is drawn once."""
+    """The pictures of a stage as pixels; what does not move is drawn once.
+
+    Arguments:
+        clocks: text that shows the time, for each picture.
+        dpi: pixels per inch.
+    """
 
     def __init__(self, stage: Stage, clocks: Sequence[str], dpi: float) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -315,6 +346,8 @@ class Film:
         self.stage, self.clocks = stage, clocks
         stage.figure.set_dpi(dpi)
         self.canvas = FigureCanvasAgg(stage.figure)
+        # Animated artists are left out of an ordinary drawing. What remains is kept as background,
+        # restored before each picture, and only the moving artists are drawn on it.
         for artist in stage.moving:
             artist.set_animated(True)
         self.canvas.draw()
@@ -325,7 +358,7 @@ class Film:
         return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
 
     def picture(self, k: int) -> np.ndarray:
-        """Pixels (height, width, 3) of the k-th picture."""
+        """Return the pixels (height, width, 3) of the k-th picture."""
         self.canvas.restore_region(self.region)
         self.stage.show(k, self.clocks[k])
         for artist in self.stage.moving:
@@ -333,7 +366,7 @@ class Film:
         return self._pixels()
 
     def pictures(self) -> Iterator[np.ndarray]:
-        """All of them."""
+        """Return all pictures, drawn one by one as they are asked for."""
         return (self.picture(k) for k in range(len(self.clocks)))
 
 
@@ -345,7 +378,10 @@ def _rgb(colour: str) -> tuple[float, ...]:
 
 
 def _ground(local: np.ndarray, extent: float) -> tuple[np.ndarray, float]:
-    """Corners (2, 3) of the ground in level axes, and its grid's step: all is above it."""
+    """Return opposite corners (2, 3) of the ground in level axes, and the step of its grid, m.
+
+    The ground is below everything, and its edges are lines of the grid.
+    """
     low, high = local.min(axis=0), local.max(axis=0)
     step = nice_step(float(max((high - low)[:2].max(), 0.5 * extent)))
     first, last = np.floor(low[:2] / step - 0.2) * step, np.ceil(high[:2] / step + 0.2) * step
@@ -354,7 +390,7 @@ def _ground(local: np.ndarray, extent: float) -> tuple[np.ndarray, float]:
 
 
 def _power(value: float) -> int:
-    """Power of ten to take out of an axis' numbers."""
+    """Return the power of ten to take out of an axis' numbers, a multiple of 3 for a prefix."""
     power = int(np.floor(np.log10(value))) if value > 0 else 0
     return 0 if -2 <= power <= 3 else power // 3 * 3
 

@@ -1,4 +1,4 @@
-"""Numbers to draw along a trajectory: boxes, spring ends, arrows and energies at given times."""
+"""What is drawn along a trajectory: boxes, spring ends, arrows and energies at given times."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ..model.trajectory import Column, Trajectory
 from ..scene.elements import GROUND, Marker
 from .shapes import BodyDrawing, Drawing, box_of_inertia, corners, quaternion_matrix
 
-_CUBE = 0.04  # edge of a body without inertia, over the scene's extent
-_DIAMETER = 0.05  # of a spring, over the scene's extent
-_ARROW = 0.25  # longest arrow of a unit, over the scene's extent
+_CUBE = 0.04  # edge of a body without inertia, over the scene's size
+_DIAMETER = 0.05  # diameter of a spring, over the scene's size
+_ARROW = 0.25  # length of the longest force and of the longest torque, over the scene's size
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where numbers come from: a trajectory, and its model if there is one."""
+    """Values over time from a trajectory, and from its model if that is known."""
 
     model: Model | None
     trajectory: Trajectory
 
     def column(self, name: str) -> Column:
-        """A column of the trajectory; one that it does not hold is measured by the model.
+        """Return a column of the trajectory, evaluated by the model if it is not held.
 
         Raises:
             ValueError: no such column.
@@ -38,11 +38,15 @@ class Source:
         return self.model.measure(name, self.trajectory)
 
     def at(self, name: str, t: np.ndarray) -> np.ndarray:
-        """A column at given times, linear between its points."""
+        """Return the values (n, ...) of a column at times t (n,), s, interpolated linearly."""
         return self.between(self.column(name).values, t)
 
     def between(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Values over the trajectory's times (n, ...) at given times."""
+        """Return values at times t (n,), s, interpolated linearly.
+
+        Arguments:
+            values: at the trajectory's times, along the first axis.
+        """
         before, share = self._place(t)
         share = share.reshape(-1, *[1] * (values.ndim - 1))
         after = np.minimum(before + 1, len(values) - 1)
@@ -56,18 +60,25 @@ class Source:
         return before, np.clip(share, 0, 1)
 
     def turns(self, body: str, t: np.ndarray) -> np.ndarray:
-        """Rotation matrices (n, 3, 3), body to world."""
+        """Return the rotation matrices (n, 3, 3) of a body at times t (n,), body to world."""
+        # q and -q are the same rotation. Signs are chosen so that neighbours are close; then linear
+        # interpolation, normalised, follows the shorter turn between them.
         q = np.array(self.column(f"{body}.quaternion").values)
-        flips = np.sign(np.einsum("ij,ij->i", q[1:], q[:-1]))  # q and -q are one rotation
+        flips = np.sign(np.einsum("ij,ij->i", q[1:], q[:-1]))
         q[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0))[:, None]
         q = self.between(q, t)
         return quaternion_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
 
     def numbers(self, array: Any, t: np.ndarray) -> np.ndarray:
-        """Numbers of the scene (...) at given times (n, ...): TIME, Inputs and Params included."""
+        """Return an array (...) of the scene as numbers (n, ...) at times t (n,), s.
+
+        Its entries may be expressions of TIME, Inputs and Params, whose values are those of the
+        trajectory, or else their default.
+        """
         array = np.asarray(array)
         if array.dtype != object:
             return np.broadcast_to(array, (len(t), *array.shape))
+        # All entries are evaluated for all times by one call, a column for each time.
         leaves = sorted(leaves_of(array), key=lambda leaf: leaf.name)
         function = ca.Function(
             "numbers", [leaf.expr for leaf in leaves], [ca.densify(to_expr(array.reshape(-1)))]
@@ -88,7 +99,7 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Frames over time: positions (n, k, 3), m, and rotations (n, k, 3, 3), to the world."""
+    """Frames over time: positions (n, k, 3), m, and rotations (n, k, 3, 3), frame to world."""
 
     p: np.ndarray
     R: np.ndarray
@@ -96,17 +107,19 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What is drawn, at n times; only what is shown.
+    """What is drawn at n times: the bodies and connectors with show=True, and all loads.
 
     Fields:
-        boxes, edges, fills: frames at the boxes' centres, edges (B, 3), colours (B, 3).
-        ends: joint frames of the connectors' markers, two each: 0, 1, 0, 1, ...
+        t: times (n,), s.
+        boxes, edges, fills: frames at the boxes' centres, edges (b, 3), m, colours (b, 3).
+        ends: joint frames at the connectors' markers, two of each: 0, 1, 0, 1, ...
         fixed: which of these are on the ground.
-        diameters, colours: of the springs; active: whether they act (n, springs).
-        arrows: (name, unit, tails (n, 3), vectors (n, 3)) of forces and torques.
-        extent: largest side of all that is shown, m.
-        up: against gravity, or z without gravity (3,).
-        kinetic, potential: J, potential above its least value; None if not known.
+        diameters, colours: of the springs (c,), m, and (c, 3).
+        active: whether each spring acts (n, c).
+        arrows: (name, unit, tails (n, 3), vectors (n, 3)) of forces and torques, world axes.
+        extent: largest side of all that is drawn, m.
+        up: unit vector (3,) against gravity, or z without gravity, world axes.
+        kinetic, potential: energies (n,), J, potential from its least value; None if not known.
     """
 
     t: np.ndarray
@@ -126,7 +139,7 @@ class Track:
 
     @property
     def points(self) -> np.ndarray:
-        """Points (n, k, 3) that the picture must hold."""
+        """Points (n, k, 3), m, that must be inside the picture."""
         p = corners(self.boxes.p, self.boxes.R, self.edges)
         reach = np.repeat(self.diameters, 2)[:, None] / 2
         return np.concatenate(
@@ -141,7 +154,7 @@ class Track:
 
     @property
     def largest(self) -> dict[str, float]:
-        """Largest force and torque by unit: the length of all arrows is relative to it."""
+        """Largest force and torque by unit, to which the lengths of arrows are relative."""
         sizes = [(unit, float(np.linalg.norm(v, axis=1).max())) for _, unit, _, v in self.arrows]
         return {unit: max(size for u, size in sizes if u == unit) for unit, _ in sizes}
 
@@ -156,11 +169,17 @@ class Track:
 
 
 def track(drawing: Drawing, source: Source, t: np.ndarray) -> Track:
-    """What is drawn at given times."""
+    """Return what is drawn at times t (n,), s.
+
+    Arguments:
+        drawing: the scene as it is drawn.
+        source: the trajectory.
+    """
     poses = {body.name: _pose(body.name, source, t) for body in drawing.bodies}
     poses[GROUND] = (np.zeros((len(t), 3)), np.broadcast_to(np.eye(3), (len(t), 3, 3)))
     bodies = [body for body in drawing.bodies if body.show]
     connectors = [c for c in drawing.connectors if c.show]
+    # Bodies that are not drawn still have poses, since markers and loads may be attached to them.
     every = [
         _frame(m, j, poses, source, t)
         for c in connectors
@@ -170,6 +189,7 @@ def track(drawing: Drawing, source: Source, t: np.ndarray) -> Track:
     boxes, edges = _boxes(bodies, poses, source, t)
     arrows = _arrows(drawing, poses, source, t)
     extent = _extent(boxes, edges, ends, [tails for _, _, tails, _ in arrows])
+    # Sizes that the user did not give depend on the scene's size, which the other boxes determine.
     edges[edges.max(axis=1, initial=0) == 0] = _CUBE * extent
     edge_of = {body.name: float(np.median(edges[i])) for i, body in enumerate(bodies)}
     diameters = [
@@ -215,7 +235,7 @@ def _matrix(source: Source, rotation: np.ndarray, t: np.ndarray) -> np.ndarray:
 def _frame(
     marker: Marker, joint: np.ndarray, poses: dict[str, Any], source: Source, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A marker's position, and its axes turned by a joint frame, in the world."""
+    """Return the position (n, 3) of a marker and the axes (n, 3, 3) of a joint frame on it."""
     p, R = poses[marker.body]
     place = p + np.einsum("nij,nj->ni", R, source.numbers(marker.position, t))
     return place, R @ _matrix(source, marker.rotation, t) @ _matrix(source, joint, t)
@@ -259,13 +279,17 @@ def _arrows(
 def _energies(
     drawing: Drawing, source: Source, t: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Kinetic and potential energy, or None where an output is not known."""
+    """Return kinetic and potential energy (n,), J, or None if an output is not known."""
+    # A minimal model may have left out a state that the energy needs, and a saved file may not hold
+    # the columns; the picture is then drawn without the bar.
     try:
         total = source.column("energy").values
         each = [source.column(f"{body.name}.kinetic_energy").values for body in drawing.bodies]
-    except ValueError:  # states that were left out, or a file that holds no energy
+    except ValueError:
         return None, None
     kinetic = np.sum(each, axis=0)
+    # The zero of the potential is arbitrary; from its least value both parts of the bar are
+    # positive.
     potential = total - kinetic
     potential = potential - potential.min()
     if not float(np.max(kinetic + potential)) > 0:

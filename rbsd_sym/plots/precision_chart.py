@@ -12,16 +12,27 @@ from .style import COLOURS, MARKERS, STYLES
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_WRONG = 0.1  # error of a run that claims success and is of no use
+_WRONG = 0.1  # error from which a run that reports success is marked as wrong
+# The colour of a method is that of its place here, in every chart.
 _METHODS = ("Idas", "Rosenbrock", "ExplicitRK", "Dop853", "GeneralizedAlpha", "Collocation", "RK4")
 
 
 def work_precision(table: Table, title: str = "") -> Figure:
-    """Error of each run of a `study.work_precision` against its time, a line for each method.
+    """Return a chart of error against CPU time, with a line for each method.
 
-    Bars span the shortest and longest time. Runs that failed are crosses at the top, those that
-    claim success with an error above a tenth are circled; the shaded band below is what the
-    reference does not resolve.
+    Both axes are logarithmic. Bars span the shortest and the longest time. Runs that failed are
+    crosses at the top; runs that report success with an error above 0.1 are circled. Errors in the
+    shaded band at the bottom are not resolved by the reference.
+
+    >>> table = rs.study.work_precision(model, rs.study.contenders(model, 2.0), 2.0)
+    >>> rs.plots.work_precision(table).savefig("chart.png")
+
+    Arguments:
+        table: of `study.work_precision`.
+        title: of the figure.
+
+    Raises:
+        ValueError: a table without the columns of `study.work_precision`.
     """
     from matplotlib.figure import Figure
 
@@ -48,7 +59,7 @@ def work_precision(table: Table, title: str = "") -> Figure:
 
 
 def _plain_numbers(axis: Any) -> None:
-    """1, 2, 5, 10, ... instead of powers of ten."""
+    """Label an axis with 1, 2, 5, 10, ... instead of powers of ten."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -57,7 +68,8 @@ def _plain_numbers(axis: Any) -> None:
 
 
 def _place(method: str, methods: list[str], i: int) -> int:
-    """Which colour a method has: the same in every chart, if it is one of ours."""
+    """Return the index of a method's colour; others than ours come after them."""
+    # A label such as "hand-written C" is not in the list, and must not move the others' colours.
     if method in _METHODS:
         return _METHODS.index(method)
     others = [m for m in methods if m not in _METHODS]
@@ -65,7 +77,7 @@ def _place(method: str, methods: list[str], i: int) -> int:
 
 
 def _line(panel: Any, table: Table, method: str, place: int) -> bool:
-    """Draw the runs of one method; whether one of them failed."""
+    """Draw the runs of one method; return whether one of them failed."""
     mine = np.array([str(m) == method for m in table.column("method")])
     time, low, high = (1e3 * table.column(name)[mine] for name in ("time", "time_min", "time_max"))
     error = np.array([np.nan if e is None else float(e) for e in table.column("error")[mine]])
@@ -86,6 +98,8 @@ def _line(panel: Any, table: Table, method: str, place: int) -> bool:
             elinewidth=0.8,
             label=method,
         )
+    # Failed runs have a time but no error: this transform takes data for x, and for y the height of
+    # the panel from 0 to 1.
     top = panel.get_xaxis_transform()
     panel.plot(time[~good], np.full((~good).sum(), 0.97), "x", color=colour, transform=top)
     wrong = good & (error > _WRONG)

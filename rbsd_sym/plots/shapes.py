@@ -1,4 +1,4 @@
-"""What is drawn of a scene, and the shapes it is drawn with: boxes, springs, arrows."""
+"""A scene as it is drawn, and the shapes it is drawn with: boxes, springs, arrows."""
 
 from __future__ import annotations
 
@@ -14,16 +14,22 @@ from .style import COLOURS
 
 FILLS = tuple(colour for colour in COLOURS if colour != "#000000")  # a black box has no shades
 SPRING = "#333333"
-ASLEEP = "#9A9A9A"
-_THIN = 0.03  # least edge of a box over its longest: a rod or a disc stays visible
-_TURNS = 7
+INACTIVE = "#9A9A9A"
+_THIN = 0.03  # least edge of a box over its longest, so that rods and discs are visible
+_TURNS = 7  # of a spring
 _POINTS = 12  # of one turn
 _LEAD = 0.12  # straight part of a spring at each end, over its length
 
 
 @dataclass(frozen=True, eq=False)
 class BodyDrawing:
-    """A body as it is drawn; `size` and `inertia` may be missing and symbolic."""
+    """A body as it is drawn.
+
+    Fields:
+        mass, inertia, com: as in `RigidBody`, possibly symbolic.
+        size: edges (3,) of its box, m; None for those that follow from mass and inertia.
+        color: red, green, blue, 0 to 1.
+    """
 
     name: str
     mass: Any
@@ -36,7 +42,13 @@ class BodyDrawing:
 
 @dataclass(frozen=True, eq=False)
 class ConnectorDrawing:
-    """A connector as it is drawn; `turned` are its joint frames to those of its markers."""
+    """A connector as it is drawn.
+
+    Fields:
+        turned: rotations of its joint frames to its markers, possibly symbolic.
+        diameter: of the spring, m; None for one that follows from the scene's size.
+        color: red, green, blue, 0 to 1.
+    """
 
     name: str
     markers: tuple[Marker, Marker]
@@ -49,7 +61,11 @@ class ConnectorDrawing:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """What is drawn of a scene; numbers may hold symbols, which a trajectory gives values."""
+    """A scene as it is drawn; a trajectory gives values to the symbols in its numbers.
+
+    Raises:
+        ValueError: nothing would be drawn.
+    """
 
     name: str
     bodies: tuple[BodyDrawing, ...]
@@ -67,10 +83,10 @@ class Drawing:
 
 
 def drawing_of(scene: Scene) -> Drawing:
-    """What is drawn of a scene, checked.
+    """Return a scene as it is drawn, with its drawing attributes checked.
 
     Raises:
-        ValueError: a size, draw_size or color that cannot be drawn.
+        ValueError: a size, draw_size or color that cannot be drawn; nothing to draw.
     """
     bodies = tuple(_body(body, i) for i, body in enumerate(scene.bodies))
     connectors = tuple(_connector(connector) for connector in scene.connectors)
@@ -89,7 +105,7 @@ def _connector(c: RigidBodySpringDamper) -> ConnectorDrawing:
     diameter = c.draw_size
     if diameter is not None:
         diameter = float(_lengths(diameter, (), f"{where}, draw_size"))
-    color = _colour(c.color, ASLEEP if c.idle else SPRING, where)
+    color = _colour(c.color, INACTIVE if c.idle else SPRING, where)
     turned = (c.rotation_marker0, c.rotation_marker1)
     return ConnectorDrawing(
         c.name, (c.marker0, c.marker1), turned, diameter, color, c.show, c.active
@@ -103,12 +119,12 @@ def _lengths(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray:
     except (TypeError, ValueError):
         array = np.zeros(0)
     if array.shape != shape or not np.isfinite(array).all() or not (array > 0).all():
-        raise ValueError(f"{where}: {value!r}; it is {rule}; or leave it out")
+        raise ValueError(f"{where}: {value!r}; it is {rule}; give that, or leave it out")
     return array
 
 
 def _colour(value: Any, default: str, where: str) -> tuple[float, ...]:
-    from matplotlib.colors import to_rgb  # drawing is not needed to simulate, and slow to import
+    from matplotlib.colors import to_rgb
 
     try:
         return to_rgb(default if value is None else value)
@@ -119,11 +135,18 @@ def _colour(value: Any, default: str, where: str) -> tuple[float, ...]:
 
 
 def box_of_inertia(mass: float, inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges (3,), m, and axes (3, 3), box to body, of the cuboid of uniform density.
+    """Return the edges (3,), m, and axes (3, 3), box to body, of the cuboid of uniform density.
 
-    With principal inertia I_1, I_2, I_3 its edges are a_1 = sqrt(6 (I_2 + I_3 - I_1) / mass) and so
-    on round. Edges are at least 3 % of the longest; without mass or inertia they are zero.
+    A cuboid has the principal inertias I_1 = mass (a_2^2 + a_3^2) / 12 and so on in turn. Solved
+    for its edges, a_1 = sqrt(6 (I_2 + I_3 - I_1) / mass) and so on. Edges are at least 3 % of the
+    longest; without mass or inertia they are zero.
+
+    Arguments:
+        mass: kg.
+        inertia: about the centre of mass, body axes (3, 3), kg m2.
     """
+    # A diagonal inertia keeps the body's axes: an eigenvalue solver would sort them, and where two
+    # inertias are equal it may return any axes.
     if np.any(inertia - np.diag(np.diag(inertia))):
         principal, axes = np.linalg.eigh(inertia)
         axes = axes * np.sign(np.linalg.det(axes))
@@ -136,7 +159,7 @@ def box_of_inertia(mass: float, inertia: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def quaternion_matrix(q: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
+    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4), scalar first."""
     w, x, y, z = np.moveaxis(q, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -156,18 +179,27 @@ NORMALS = np.repeat(np.eye(3), 2, axis=0) * np.tile([-1.0, 1.0], 3)[:, None]
 
 
 def corners(centres: np.ndarray, axes: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Corners (..., 8, 3) of boxes with centres (..., 3), axes (..., 3, 3), edges (..., 3)."""
+    """Return corners (..., 8, 3) of boxes.
+
+    Arguments:
+        centres: (..., 3), m.
+        axes: (..., 3, 3), box to world.
+        edges: (..., 3), m.
+    """
     local = _SIGNS * (edges / 2)[..., None, :]
     return centres[..., None, :] + np.einsum("...ij,...kj->...ki", axes, local)
 
 
 def spring(start: np.ndarray, end: np.ndarray, axis: np.ndarray, diameter: float) -> np.ndarray:
-    """Points (k, 3) of a helical spring from start to end.
+    """Return points (k, 3), m, of a helical spring.
 
     Arguments:
-        axis: unit vector that stands in for the direction of a spring without length, which is
-            a ring about it.
+        start, end: of the spring (3,), m.
+        axis: unit vector (3,); a spring without length is drawn as a ring about it.
+        diameter: m.
     """
+    # A little of the axis is mixed into the direction, so that a spring which passes through zero
+    # length turns over smoothly instead of having no direction.
     along = end - start
     soft = 0.2 * diameter * (1 if along @ axis >= 0 else -1)
     direction = along + soft * axis
@@ -184,24 +216,30 @@ def spring(start: np.ndarray, end: np.ndarray, axis: np.ndarray, diameter: float
 
 
 def _aside(direction: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """A vector that is not along the direction, and moves with the axis."""
+    """Return a vector that is not parallel to the direction, and turns with the axis."""
+    # Rounding makes the choice the same while the direction changes a little, so the coil does not
+    # jump about its axis from picture to picture.
     others = np.roll(axis, 1), np.roll(axis, 2)
     return min((axis, *others, *np.eye(3)), key=lambda v: round(abs(float(v @ direction)), 1))
 
 
 def arrow_head(tail: np.ndarray, tip: np.ndarray, length: float) -> np.ndarray:
-    """Triangle (3, 2) on the screen at the tip of an arrow of screen points."""
-    way = tip - tail
-    norm = float(np.linalg.norm(way))
-    way = way / norm if norm > 0 else np.array([1.0, 0.0])
-    side = np.array([-way[1], way[0]])
-    back = tip - min(length, norm) * way
+    """Return the triangle (3, 2) at the tip of an arrow, tip first; all are points on the screen.
+
+    Arguments:
+        length: of the head; it is never longer than the arrow.
+    """
+    along = tip - tail
+    norm = float(np.linalg.norm(along))
+    along = along / norm if norm > 0 else np.array([1.0, 0.0])
+    side = np.array([-along[1], along[0]])
+    back = tip - min(length, norm) * along
     half = 0.38 * min(length, norm)
     return np.array([tip, back + half * side, back - half * side])
 
 
 def nice_step(length: float, cells: int = 8) -> float:
-    """The number 1, 2 or 5 times a power of ten that divides a length into about so many cells."""
+    """Return the step, 1, 2 or 5 times a power of ten, that cuts a length into about `cells`."""
     raw = length / cells
     power = 10.0 ** np.floor(np.log10(raw))
     steps: Sequence[float] = (1, 2, 5, 10)

@@ -1,4 +1,4 @@
-"""Stability maps: growth rate in colours over two axes, and the boundary."""
+"""Charts of stability: growth rate in colours over two axes, and the boundary of stability."""
 
 from __future__ import annotations
 
@@ -11,17 +11,25 @@ from ..study import Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_NEUTRAL = 1e-6  # of the largest rate, below which nothing grows
+_NEUTRAL = 1e-6  # growth rates below this part of the largest one count as rounding
 
 
 def stability_map(table: Table, title: str = "") -> Figure:
-    """Growth rate over the first two columns of a `study.stability_map`, with its boundary.
+    """Return a map of growth rates, in colours, with the boundary of stability.
 
-    Red grows, blue decays, white is neutral; the black line is the boundary, crosses are points
-    that failed. Where no disturbance decays, the boundary is drawn where growth begins.
+    Disturbances grow where the map is red and decay where it is blue; white is neutral. The black
+    line is the boundary, crosses are points that failed. In an undamped scene, where nothing
+    decays, the boundary is drawn where growth begins. An axis with geometric steps is logarithmic.
+
+    >>> table = rs.study.stability_map(model, {"k": [1e3, 1e4, 1e5]}, {"push": [0.0, 5.0]})
+    >>> rs.plots.stability_map(table, "swing").savefig("map.png")
+
+    Arguments:
+        table: of `study.stability_map`; its first two columns are the axes.
+        title: of the figure.
 
     Raises:
-        ValueError: a table of something else, or one value on an axis.
+        ValueError: another table, or an axis with only one value.
     """
     from matplotlib.figure import Figure
 
@@ -61,14 +69,15 @@ def stability_map(table: Table, title: str = "") -> Figure:
 
 
 def _norm(low: float, high: float, bound: float) -> Any:
-    """Colours with white at 0; each side has its own scale, where both are there."""
+    """Return the scale of colours, white at 0; growth and decay each have their own range."""
     from matplotlib.colors import TwoSlopeNorm
 
+    # Both sides need a bound other than 0, also one on which there are no values.
     return TwoSlopeNorm(0.0, low if low < 0 else -bound, high if high > 0 else bound)
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round values of both sides, each with its own scale."""
+    """Return round values for the bar of colours, on both sides of 0."""
     from matplotlib.ticker import MaxNLocator
 
     chosen = MaxNLocator(4)
@@ -78,7 +87,11 @@ def _ticks(low: float, high: float) -> list[float]:
 
 
 def _signs(rates: np.ndarray, high: float) -> np.ndarray:
-    """The rates, each side in units of its own median, so that neither draws the boundary near."""
+    """Return numbers with the signs of the rates, whose zero contour is the boundary."""
+    # Contours are interpolated linearly. If decay is, say, a hundred times as fast as growth, the
+    # boundary would be drawn far too near to the growing side. So both sides are measured in their
+    # own median, and the root compresses large values. Rates that count as rounding are made
+    # negative, so that an undamped scene has a boundary where growth begins.
     edge = np.where(rates > _NEUTRAL * high, rates, -np.abs(rates))
     edge[edge == 0] = -_NEUTRAL * high
     for side in (edge > 0, edge < 0):
@@ -90,17 +103,22 @@ def _signs(rates: np.ndarray, high: float) -> np.ndarray:
 
 
 def _grid(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values of both axes, and the rates (n_y, n_x), NaN where a point is missing or failed."""
+    """Return the values of both axes, and the rates (n_y, n_x), NaN for missing or failed points.
+
+    Raises:
+        ValueError: another table, or an axis with only one value.
+    """
     if "abscissa" not in table.columns[2:]:
         raise ValueError(
-            f"plots.stability_map: columns {', '.join(table.columns)}; give the table of "
-            "study.stability_map"
+            f"plots.stability_map: a table with columns {', '.join(table.columns)}; give the table "
+            "of study.stability_map"
         )
     columns = [table.column(name) for name in table.columns[:2]]
     axes = [np.unique(column.astype(float)) for column in columns]
     if min(map(len, axes)) < 2:
         raise ValueError(
-            "plots.stability_map: one value on an axis; a map needs at least two on each"
+            "plots.stability_map: one value on an axis; a map needs at least two on each; give "
+            "more values to study.stability_map"
         )
     rates = np.full((len(axes[1]), len(axes[0])), np.nan)
     values = [np.nan if row is None else float(row) for row in table.column("abscissa")]
@@ -110,7 +128,7 @@ def _grid(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _geometric(values: np.ndarray) -> bool:
-    """Whether steps are equal on a logarithmic scale, and not on a linear one."""
+    """Return whether steps are equal on a logarithmic scale, and not on a linear one."""
     if len(values) < 3:
         return False
     ratios, steps = np.diff(np.log(values)), np.diff(values)

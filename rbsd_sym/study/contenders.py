@@ -1,4 +1,4 @@
-"""The integrators that can take a model, each over a range of settings."""
+"""The integrators that are applicable to a model, each over a range of settings."""
 
 from __future__ import annotations
 
@@ -9,19 +9,32 @@ from ..integrators import RK4, Collocation, Dop853, ExplicitRK, GeneralizedAlpha
 from ..model.model import Model
 
 _TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
-_ABSOLUTE = 1e-2  # absolute tolerance, relative to the relative one
-_STEPS = (100, 400, 1600, 6400)  # in the run, of methods with fixed steps
-_FEW = 60  # states, above which methods that take long in Python are left out
+_ABSOLUTE = 1e-2  # absolute tolerance over relative tolerance
+_STEPS = (100, 400, 1600, 6400)  # number of steps in the run, for methods with fixed steps
+_FEW = 60  # states and unknowns, up to which collocation is worth its time in Python
 
 
 def contenders(
     model: Model, t_end: float, tolerances: Sequence[float] = _TOLERANCES
 ) -> dict[str, list[Any]]:
-    """Integrators by name, for `work_precision`: those that can take the model.
+    """Return the integrators that are applicable to a model, as `work_precision` takes them.
 
-    Fixed steps cut the run into 100 to 6400; explicit methods are left out where the model has
-    algebraic unknowns, methods with steps fixed beforehand where it has events.
+    Explicit methods are left out if the model has algebraic unknowns; RK4 and collocation, whose
+    steps are fixed beforehand, if it has events; all but `Idas` and `GeneralizedAlpha` if it has
+    post-Newton steps; collocation if the model is large. Fixed steps divide the run into 100, 400,
+    1600 and 6400.
+
+    >>> rs.study.work_precision(model, rs.study.contenders(model, 2.0), 2.0)
+
+    Arguments:
+        model: what `compile_scene` returns.
+        t_end: length of the run, s, which the fixed steps divide.
+        tolerances: relative tolerances; the absolute ones are a hundredth of them.
+
+    Returns:
+        Lists of integrators, by the name of the method.
     """
+    # RK4 and collocation neither locate events nor run post-Newton steps.
     pairs = [(rtol, rtol * _ABSOLUTE) for rtol in tolerances]
     steps = [t_end / n for n in _STEPS]
     explicit, plain = not model.n_z, not (model.events or model.dae.updates)

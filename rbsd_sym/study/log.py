@@ -1,10 +1,10 @@
-"""The file of a sweep: a header, then one line of JSON for each outcome, as they come.
+"""The file of a sweep: a header, then one line of JSON for each outcome, in order of arrival.
 
-A line is written whole by one call; what a killed process left of one is cut off at the next start.
-While a sweep runs, other processes are refused: a lock of the operating system, which falls with
-the process (none on Windows, nor on file systems without locks; threads of one process are not
-kept apart). NaN and infinities are written as `NaN` and `Infinity`, which JSON itself
-does not know.
+A line is written by one call; if a process was killed while writing, the incomplete line is removed
+at the next start. While a sweep runs, a lock of the operating system keeps other processes out. The
+lock ends with the process; there is none on Windows or on file systems without locks, and threads
+of one process are not kept apart. NaN and infinities are written as `NaN` and `Infinity`, which
+Python's json reads although the JSON standard excludes them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ Keep = Callable[[int, Outcome], None]
 
 
 def header(fn: str, points: Sequence[Point]) -> dict[str, Any]:
-    """What makes a sweep this one: the name of its function, and its points."""
+    """Return the first line of a file, which identifies a sweep: its function's name, its points.
+
+    The values of the points are represented by their SHA-256 hash.
+    """
     values = [list(points[0]), [[point[key] for key in points[0]] for point in points]]
     digest = hashlib.sha256(json.dumps(values).encode()).hexdigest()
     return {"format": FORMAT, "fn": fn, "keys": values[0], "points": len(points), "sha256": digest}
@@ -36,11 +39,19 @@ def header(fn: str, points: Sequence[Point]) -> dict[str, Any]:
 def opened(
     file: Path | None, head: dict[str, Any], points: Sequence[Point]
 ) -> Iterator[tuple[dict[int, Outcome], Keep]]:
-    """Outcomes of earlier calls, and a function that adds one; the file is locked meanwhile.
+    """Open the file of a sweep, locked until the context ends.
+
+    Arguments:
+        file: created if needed; None keeps nothing.
+        head: of `header`, for these points.
+        points: of the sweep; outcomes are written with their point.
+
+    Yields:
+        Outcomes of earlier calls by index of the point, and a function that appends one.
 
     Raises:
-        ValueError: the file is of another sweep or of something else, is in use, or cannot be
-            written.
+        ValueError: the file is that of another sweep or of something else, is in use by another
+            process, or cannot be written.
     """
     if file is None:
         yield {}, lambda i, outcome: None
@@ -63,7 +74,7 @@ def opened(
 
 
 def _lock(stream: FileIO, file: Path) -> None:
-    """Keep other processes out, where the system can; the lock falls with the process."""
+    """Keep other processes out, where the system supports locks; the lock ends with the process."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -71,6 +82,8 @@ def _lock(stream: FileIO, file: Path) -> None:
     try:
         fcntl.lockf(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
+        # Only these two mean that somebody else holds the lock; other errors come from file systems
+        # that have no locks, on which a sweep runs without one.
         if error.errno in (errno.EACCES, errno.EAGAIN):
             raise ValueError(
                 f"{file}: another process runs a sweep on it; wait for it, or choose another file"
@@ -78,7 +91,10 @@ def _lock(stream: FileIO, file: Path) -> None:
 
 
 def _resumed(stream: FileIO, file: Path, head: dict[str, Any]) -> dict[int, Outcome]:
-    """What the file holds, ready to be continued: with a header, without a torn line."""
+    """Read the outcomes in the file and prepare it to be continued.
+
+    A new file gets its header; an incomplete last line is removed.
+    """
     stream.seek(0)
     first, *lines = stream.read().split(b"\n")
     if not lines and _text(head).startswith(first):  # new, or killed before the header was whole
@@ -86,6 +102,7 @@ def _resumed(stream: FileIO, file: Path, head: dict[str, Any]) -> dict[int, Outc
         _append(stream, file, head)
         return {}
     _check_header(file, first, head)
+    # The text after the last line end is empty, or a line whose writing was interrupted.
     stream.truncate(stream.tell() - len(lines[-1]))
     rows = (_row(line, head["points"]) for line in lines[:-1])
     return {row[0]: row[1] for row in rows if row is not None}
@@ -98,22 +115,22 @@ def _check_header(file: Path, line: bytes, head: dict[str, Any]) -> None:
     except (ValueError, TypeError, KeyError):
         form = None
     if form != FORMAT:
-        raise ValueError(f"{file}: no file of '{FORMAT}'; choose another file")
+        raise ValueError(f"{file}: not a file of '{FORMAT}'; choose another file")
     for key, what in (("fn", "function"), ("keys", "names"), ("points", "number of points")):
         if there.get(key) != head[key]:
             raise ValueError(
-                f"{file}: of another sweep, its {what}: {there.get(key)}, here {head[key]}; "
+                f"{file}: is of another sweep, its {what}: {there.get(key)}, here {head[key]}; "
                 "delete it, or choose another file"
             )
     if there != head:
         raise ValueError(
-            f"{file}: of another sweep, with other values of the points; delete it, or choose "
+            f"{file}: is of another sweep, with other values of the points; delete it, or choose "
             "another file"
         )
 
 
 def _row(line: bytes, n: int) -> tuple[int, Outcome] | None:
-    """Point and outcome of a line; None if it is damaged: the point is run again."""
+    """Return index and outcome of a line; None if it is damaged, so that the point runs again."""
     try:
         row = json.loads(line)
         i, result, error = row["point"], row.get("result"), row.get("error")
@@ -130,11 +147,12 @@ def _text(record: dict[str, Any]) -> bytes:
 
 def _append(stream: FileIO, file: Path, record: dict[str, Any]) -> None:
     text = _text(record)
+    # The stream is unbuffered, and a call may write a part only, such as on a full disk.
     try:
         while text:
             text = text[stream.write(text) :]
     except OSError as error:
         raise ValueError(
-            f"{file}: cannot be written ({error.strerror}); the points before are kept: make "
-            "room, and call again"
+            f"{file}: cannot be written ({error.strerror}); earlier points are kept; make room, "
+            "and call again"
         ) from error

@@ -1,4 +1,8 @@
-"""Short runs that tell what integrators cost on a model: calls, modes, errors and times."""
+"""Pilot runs: short runs that measure what integrators cost on a model and how accurate they are.
+
+Beside them are measured the cost of one call of the model's functions, and the fastest modes of its
+linearised motion. `recommend` decides with these numbers.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +20,14 @@ from ..model.values import Experiment, Given
 from ..pipeline import simulate
 from .work_precision import ErrorOf
 
-_MOST = 300  # states up to which all eigenvalues are computed
-_TURNS = 60  # of the power iteration beyond
-_WINDOW = 2e-3  # s, of timing one function
-_AGAIN = 0.1  # s: runs that take longer are timed as they are, with what they build
+_ALL_EIGENVALUES = 300  # states, up to which all eigenvalues are computed
+_POWER_ITERATIONS = 60  # for larger models
+_TIMING = 2e-3  # s, for which one function is called again and again
+_REPEAT_BELOW = 0.1  # s: only shorter runs are timed a second time
 
 
 class Costs(NamedTuple):
-    """CPU seconds of one call: of the rates, their Jacobian, and a linear solve with it."""
+    """CPU time (s) of one call of the rates, of their Jacobian, and of a linear solve with it."""
 
     rates: float
     jacobian: float
@@ -31,13 +35,13 @@ class Costs(NamedTuple):
 
 
 class Modes(NamedTuple):
-    """The fastest modes of the linearised motion over the points looked at.
+    """The fastest modes of the motion, linearised at several points.
 
     Fields:
         fastest: largest |eigenvalue|, 1/s.
-        damping: of that mode, -Re / |eigenvalue|; NaN where only its size is known.
-        ringing: largest |eigenvalue| of a mode with damping below 0.02 and at least ten times
-            faster than the slowest that moves, 1/s; 0 if there is none.
+        damping: damping ratio of that mode, -Re / |eigenvalue|; NaN if only its size is known.
+        ringing: largest |eigenvalue| among oscillations with a damping ratio below 0.02 that are at
+            least ten times as fast as the slowest oscillation, 1/s; 0 if there is none.
     """
 
     fastest: float
@@ -46,7 +50,14 @@ class Modes(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """One pilot run; error None if it failed."""
+    """Result of one pilot run.
+
+    Fields:
+        error: as in `work_precision`; None if the run failed.
+        seconds: CPU time of the run.
+        steps, evaluations, jacobians: counts; NaN where the integrator does not report them.
+        outcome: how the run ended.
+    """
 
     error: float | None
     seconds: float
@@ -57,12 +68,13 @@ class Trial(NamedTuple):
 
 
 class Pilot:
-    """Runs over a share of the whole, judged against a tighter one.
+    """Runs over the beginning of a simulation, compared with a more accurate run.
 
     Arguments:
-        grid: output times.
-        given: inputs, params, start.
-        most: steps a run may take.
+        model: to simulate.
+        grid: output times (n,), s.
+        given: inputs, params and start, as in `simulate`.
+        most: largest number of steps between two output times.
     """
 
     def __init__(self, model: Model, grid: np.ndarray, given: Given, most: int) -> None:
@@ -72,16 +84,27 @@ class Pilot:
         self.floor = math.nan
 
     def run(self, integrator: Any, most: int | None = None) -> Trajectory | None:
-        """The trajectory, with as many steps as are allowed; None if it cannot even be built."""
+        """Simulate; return None if the integrator cannot even be built for this model.
+
+        Arguments:
+            integrator: its own limit on the number of steps is replaced.
+            most: largest number of steps, that of the pilot by default.
+        """
         if hasattr(integrator, "max_steps"):
             integrator = replace(integrator, max_steps=most or self.most)
         try:
             return simulate(self.model, self.grid, integrator, throw=False, **self.given)
-        except RuntimeError:  # CasADi's, of functions it cannot differentiate
+        except RuntimeError:  # CasADi raises it for functions that it cannot differentiate
             return None
 
     def refer_to(self, methods: list[Any]) -> bool:
-        """Take the first method that gets through as the reference, the next as its check."""
+        """Choose the first method that reaches the end as the reference, the next to check it.
+
+        The difference of the two is kept as `floor`, below which errors mean nothing.
+
+        Returns:
+            Whether there is a reference.
+        """
         good: list[Trajectory] = []
         for method in methods:
             found = self.run(method, 10 * self.most)
@@ -103,7 +126,11 @@ class Pilot:
         return max((e for e in errors if e is not None), default=0.0)
 
     def attempt(self, integrator: Any) -> Trial:
-        """Error and CPU time of a run after one that builds, short ones twice."""
+        """Return error and CPU time of a run.
+
+        The integrator is built by a first run, which is not timed. Of two timed runs the shorter
+        counts; long ones are timed once.
+        """
         seconds, found = math.inf, self.run(integrator)
         if found is None:
             return Trial(None, seconds, math.nan, math.nan, math.nan, Outcome.solver_failed)
@@ -112,7 +139,7 @@ class Pilot:
             found = self.run(integrator) or found
             took = time.thread_time() - began
             seconds = min(seconds, took)
-            if took > _AGAIN or not found.outcome.ok:
+            if took > _REPEAT_BELOW or not found.outcome.ok:
                 break
         error = self._error(found) if found.outcome.ok else math.nan
         steps, calls, jacobians = (
@@ -123,19 +150,24 @@ class Pilot:
 
 
 def costs(model: Model, experiment: Experiment) -> Costs:
-    """Measured at the start."""
+    """Measure the CPU time of one call of the model's functions, at the start."""
     e, names = experiment, ["ode", "dode_dx"]
     given = [e.t[:1], e.x, e.z, np.zeros(model.n_u), e.p]
     rates, jacobian = (_seconds(model.function(name), given) for name in names)
     pattern = model.function("dode_dx").sparsity_out(0) + ca.Sparsity.diag(model.n_x)
     A, b = ca.MX.sym("A", pattern), ca.MX.sym("b", model.n_x)
     solver = ca.Function("solve", [A, b], [ca.solve(A, b, "qr" if model.n_x <= 60 else "csparse")])
+    # The time of a solve depends mostly on the pattern. A dominant diagonal makes the matrix
+    # regular, whatever the Jacobian is at the start.
     matrix = ca.DM(pattern, 1.0) + model.n_x * ca.DM.eye(model.n_x)
     return Costs(rates, jacobian, _seconds(solver, [np.array(matrix.nonzeros()), e.x]))
 
 
 def _seconds(function: ca.Function, given: list[np.ndarray]) -> float:
-    """CPU time of one call through buffers, without what Python adds."""
+    """Return the CPU time (s) of one call, without what Python adds.
+
+    CasADi's buffers call a Function on fixed memory; the usual call converts each argument.
+    """
     buffer, evaluate = function.buffer()
     kept = [np.ascontiguousarray(value, float) for value in given]
     results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
@@ -147,14 +179,19 @@ def _seconds(function: ca.Function, given: list[np.ndarray]) -> float:
             buffer.set_res(i, memoryview(value))  # type: ignore[arg-type]
     evaluate()
     began, calls = time.thread_time(), 0
-    while time.thread_time() - began < _WINDOW or not calls:
+    while time.thread_time() - began < _TIMING or not calls:
         evaluate()
         calls += 1
     return (time.thread_time() - began) / calls
 
 
 def modes(model: Model, trajectory: Trajectory, experiment: Experiment, points: int = 5) -> Modes:
-    """The fastest modes at the start and at some of the saved points."""
+    """Return the fastest modes at the start and at some of the saved points.
+
+    Arguments:
+        trajectory: of this model, with this experiment.
+        points: how many saved points are used at most, the first and the last included.
+    """
     rows = np.unique(np.linspace(0, len(trajectory.t) - 1, points).astype(int))
     found = [_modes_at(model, trajectory, experiment, int(row)) for row in rows]
     fastest = max(found, key=lambda m: m.fastest)
@@ -174,20 +211,23 @@ def _modes_at(model: Model, trajectory: Trajectory, e: Experiment, row: int) -> 
         e.p,
     )
     A: ca.DM = model.function("dode_dx")(*point)
+    # With algebraic unknowns, 0 = g(x, z) makes dz = -g_z^-1 g_x dx, so the motion of the states
+    # has the Jacobian f_x - f_z g_z^-1 g_x. Least squares also copes with a singular g_z.
     if model.n_z:
         names = ("dode_dz", "dalg_dz", "dalg_dx")
         f_z, g_z, g_x = (np.array(ca.DM(model.function(name)(*point))) for name in names)
         A = ca.DM(np.array(ca.DM(A)) - f_z @ np.linalg.lstsq(g_z, g_x, rcond=None)[0])
-    if model.n_x > _MOST:
+    if model.n_x > _ALL_EIGENVALUES:
         return Modes(_power(A), math.nan, 0.0)
     values = np.linalg.eigvals(np.array(ca.DM(A)))
     size = np.abs(values)
     worst = int(np.argmax(size))
     if size[worst] == 0:
         return Modes(0.0, math.nan, 0.0)
-    turning = np.abs(values.imag) > 1e-6 * size[worst]
-    slow = float(size[turning].min()) if turning.any() else 0.0
-    rings = turning & (-values.real < 0.02 * size) & (size > 10 * slow)
+    # Imaginary parts that are rounding of the largest eigenvalue do not make an oscillation.
+    oscillates = np.abs(values.imag) > 1e-6 * size[worst]
+    slow = float(size[oscillates].min()) if oscillates.any() else 0.0
+    rings = oscillates & (-values.real < 0.02 * size) & (size > 10 * slow)
     return Modes(
         float(size[worst]),
         float(-values[worst].real / size[worst]),
@@ -196,13 +236,15 @@ def _modes_at(model: Model, trajectory: Trajectory, e: Experiment, row: int) -> 
 
 
 def _power(A: ca.DM) -> float:
-    """Size of the largest eigenvalue, from the growth of a vector under repeated products."""
+    """Return the modulus of the largest eigenvalue, by power iteration."""
+    # The largest eigenvalues may be a complex pair, under which the growth from one product to the
+    # next oscillates. So its logarithm is averaged over the second half of the iterations.
     v, growth = ca.DM(np.random.default_rng(1).normal(size=A.shape[0])), 0.0
-    for k in range(_TURNS):
+    for k in range(_POWER_ITERATIONS):
         v = A @ v
         size = float(ca.norm_2(v))
         if not 0 < size < math.inf:
             return 0.0
         v /= size
-        growth += math.log(size) if k >= _TURNS // 2 else 0.0
-    return math.exp(growth / (_TURNS - _TURNS // 2))
+        growth += math.log(size) if k >= _POWER_ITERATIONS // 2 else 0.0
+    return math.exp(growth / (_POWER_ITERATIONS - _POWER_ITERATIONS // 2))

@@ -1,4 +1,4 @@
-"""A function called at many points, spread over processes or a cluster; rows in a table.
+"""Call a function at many points, spread over processes or a cluster; the results are a table.
 
 points --check--> todo --workers--> outcomes --log--> file
                                         +-----------> ResultTable
@@ -25,25 +25,29 @@ def sweep(
     file: str | os.PathLike[str] | None = None,
     retry_failed: bool = False,
 ) -> ResultTable:
-    """Call a function at every point, spread over processes; one row for each point, in order.
+    """Call a function at every point, spread over processes; return one row for each, in order.
+
+    An example is in the docstring of `rbsd_sym.study`.
 
     Arguments:
         fn: takes a point as a dict; returns a number (column `value`) or a mapping of names to
-            numbers, texts or lists. Every result has the same names.
+            numbers, texts or lists. All results have the same names.
         points: mappings of names to numbers or texts, all with the same names. They may repeat.
-        executor: where to run; by default processes, for which a script needs a main guard.
-        file: results are appended here as they come, as lines of JSON. The same call goes on
-            where the last one was stopped, however it was. It knows fn by its name alone: delete
-            the file after a change of fn.
-        retry_failed: run points again that failed according to the file; otherwise they are kept.
+        executor: where to run, a `concurrent.futures.Executor`; by default processes of this
+            machine, for which a script needs `if __name__ == "__main__":`.
+        file: results are appended to it as they arrive, as lines of JSON. Repeating the call
+            continues where an earlier one stopped, even if that was killed. The file identifies
+            fn by its name only: delete it after a change of fn.
+        retry_failed: run points again that failed according to the file; otherwise their failures
+            are kept.
 
     Returns:
-        Columns of the points, of the results, and `error`: None, or in one line why the point
-        failed (its results are None). Calling fn(point) shows more.
+        Columns of the points, columns of the results, and `error`: None, or in one line why the
+        point failed; its results are then None. Call fn(point) to see the traceback.
 
     Raises:
-        ValueError: bad points, a function that processes cannot import, names of results that
-            differ or clash, a file of something else or in use.
+        ValueError: bad points; a function that processes cannot import; names of results that
+            differ or clash with others; a file of something else, or in use.
         RuntimeError: no worker process can be started.
     """
     listed = _checked(points)
@@ -55,13 +59,14 @@ def sweep(
             work = own(fn, pickled, listed, todo)
         else:
             work = lent(executor, fn, listed, todo)
+        # Closing the generator ends its processes, also if an exception or Ctrl-C ends the loop.
         with contextlib.closing(work):
             _gather(listed, results, work, keep)
     return _table(listed, results)
 
 
 def _gather(points: Sequence[Point], results: dict[int, Outcome], work: Work, keep: Keep) -> None:
-    """Add outcomes to the results as they come, and to the file those that are fn's own."""
+    """Add outcomes to the results as they arrive, and to the file if they are due to fn itself."""
     for i, outcome in results.items():
         _check_names(points, results, i, outcome)
     for i, outcome, lasting in work:
@@ -72,7 +77,11 @@ def _gather(points: Sequence[Point], results: dict[int, Outcome], work: Work, ke
 
 
 def _checked(points: Iterable[Mapping[str, Any]]) -> list[Point]:
-    """The points as dicts of plain numbers and texts."""
+    """Return the points as dicts of plain numbers and texts.
+
+    Raises:
+        ValueError: a point of another kind, or with other names than the first one.
+    """
     form = "give a list of mappings such as {'k': 1e3, 'law': 'a'}"
     if isinstance(points, (Mapping, str)) or not isinstance(points, Iterable):
         raise ValueError(f"sweep: points is a {type(points).__name__}; {form}")
@@ -101,7 +110,11 @@ def _checked(points: Iterable[Mapping[str, Any]]) -> list[Point]:
 
 
 def _checked_function(fn: Callable[[Point], Any], executor: Any) -> bytes:
-    """The function as a pickle for our own processes; empty for an executor handed in."""
+    """Return the function pickled for our own processes; empty if an executor is given.
+
+    Raises:
+        ValueError: it is not a function, or cannot be pickled; not an executor.
+    """
     if not callable(fn):
         raise ValueError(f"sweep: fn is a {type(fn).__name__}; give a function of one point")
     if executor is not None:
@@ -114,14 +127,14 @@ def _checked_function(fn: Callable[[Point], Any], executor: Any) -> bytes:
         return b""
     try:
         return pickle.dumps(fn)
-    except Exception as error:  # pickle raises errors of many kinds
+    except Exception as error:  # pickle raises exceptions of many types
         raise ValueError(not_importable(fn, reason(error))) from error
 
 
 def _check_names(
     points: Sequence[Point], results: Mapping[int, Outcome], i: int, outcome: Outcome
 ) -> None:
-    """The names of a result: those of the others, none that a point or the table has."""
+    """Check that a result has the names of the others, and none of a point's or the table's own."""
     if outcome[0] is None:
         return
     names = list(outcome[0])
@@ -131,6 +144,7 @@ def _check_names(
             f"sweep, point {i}: the result has '{taken[0]}', which the points have, or the table "
             "itself; rename it"
         )
+    # All earlier results passed this check, so comparing with one that did not fail is enough.
     for k, (other, _) in results.items():
         if other is not None:
             if set(other) != set(names):

@@ -1,4 +1,4 @@
-"""A small table of named columns with units: what a study returns."""
+"""A small table of named columns with units, which studies return."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ Cell = Union[float, str, tuple, None]
 
 
 def plain(value: Any) -> Cell:
-    """The value as plain Python: number, text, None, or a tuple of such.
+    """Return the value as plain Python: a number, a text, None, or a tuple of such.
+
+    Numbers and arrays of numpy and CasADi are converted; a column of CasADi becomes a flat tuple.
 
     Raises:
         TypeError: it is something else, such as a symbol.
@@ -36,17 +38,22 @@ def plain(value: Any) -> Cell:
         value = value.tolist()
     if isinstance(value, (list, tuple)):
         return tuple(plain(v) for v in value)
+    # bool is tested first, since it is a subclass of int and would become 0 or 1.
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, (int, float)):
         return int(value) if isinstance(value, int) else float(value)
     raise TypeError(
-        f"a {type(value).__name__} is no cell; give a number, a text, None, or a list of such"
+        f"a {type(value).__name__} cannot be a cell; give a number, a text, None, or a list of such"
     )
 
 
 def plain_items(items: Mapping[str, Any]) -> dict[str, Cell]:
-    """A mapping with its values as plain Python; an error names the value."""
+    """Return a mapping with its values as plain Python.
+
+    Raises:
+        TypeError: a value is of another kind; the message names it.
+    """
     values: dict[str, Cell] = {}
     for key, value in items.items():
         try:
@@ -57,7 +64,7 @@ def plain_items(items: Mapping[str, Any]) -> dict[str, Cell]:
 
 
 def _is_number(cell: Cell) -> bool:
-    """Whether the cell is a number or a list of numbers."""
+    """Return whether a cell is a number or a list of numbers."""
     if isinstance(cell, tuple):
         return all(map(_is_number, cell))
     return isinstance(cell, (int, float)) and not isinstance(cell, bool)
@@ -65,21 +72,21 @@ def _is_number(cell: Cell) -> bool:
 
 @dataclass(frozen=True)
 class ResultTable:
-    """Named columns with units; `print(table)` shows it.
+    """A table of named columns with units; `print(table)` shows it aligned.
+
+    >>> table = rs.study.Table(("k", "error"), ("N/m", ""), ((1e3, 1e-6), (2e3, 3e-6)))
+    >>> table.column("k")
+    array([1000., 2000.])
 
     Fields:
         columns: names, all different.
-        units: of the columns, "" where there is none.
+        units: of the columns, "" if there is none.
         rows: one cell for each column: a number, a text, None, or a tuple of such (lists and
             arrays become tuples).
 
     Raises:
-        ValueError: names that repeat, or a row of another length.
+        ValueError: names that repeat, another number of units, or a row of another length.
         TypeError: a cell of another kind.
-
-    Example:
-        table = ResultTable(("k", "error"), ("N/m", ""), ((1e3, 1e-6), (2e3, 3e-6)))
-        table.column("k")          # array([1000., 2000.])
     """
 
     columns: tuple[str, ...]
@@ -101,9 +108,10 @@ class ResultTable:
             object.__setattr__(self, field, tuple(value))
 
     def column(self, name: str) -> np.ndarray:
-        """Floats (n,) where all cells are numbers, (n, k) for lists of k; None is NaN beside them.
+        """Return a column as an array with an entry for each row.
 
-        Truth values are an array of bool, anything else one of objects.
+        Numbers give floats (n,), lists of k numbers floats (n, k), None among them NaN; truth
+        values give bool (n,), anything else objects (n,).
 
         Raises:
             ValueError: no such column.
@@ -113,18 +121,20 @@ class ResultTable:
         cells = [row[self.columns.index(name)] for row in self.rows]
         there = [cell for cell in cells if cell is not None]
         if there and all(map(_is_number, there)):
-            with contextlib.suppress(ValueError, OverflowError):  # ragged lists are objects
+            # Lists of different lengths, and integers beyond floats, remain objects.
+            with contextlib.suppress(ValueError, OverflowError):
                 missing = np.full(np.array(there, float).shape[1:], np.nan)
                 return np.array([missing if c is None else c for c in cells], float)
         if cells and all(isinstance(cell, bool) for cell in cells):
             return np.array(cells)
+        # np.array(cells, object) would make a matrix of tuples of one length.
         objects = np.empty(len(cells), object)
         for i, cell in enumerate(cells):
             objects[i] = cell
         return objects
 
     def with_units(self, units: Mapping[str, str]) -> ResultTable:
-        """The same table with units of some columns, by name.
+        """Return the table with other units of some columns, {name: unit}; cells stay as they are.
 
         Raises:
             ValueError: no such column.
@@ -135,10 +145,13 @@ class ResultTable:
         return replace(self, units=tuple(units.get(name, unit) for name, unit in there))
 
     def to_csv(self, path: str | os.PathLike[str]) -> Path:
-        """Write a file of comma-separated values, whole or not at all; the folder must exist.
+        """Write a file of comma-separated values, completely or not at all.
 
-        Numbers keep every digit, None is empty, a list is its JSON text. The first line holds
-        `name [unit]`.
+        The first line holds `name [unit]`. Numbers keep every digit, None is empty, a list is
+        written as JSON.
+
+        Arguments:
+            path: of the file, in a folder that exists.
 
         Raises:
             ValueError: the file cannot be written.
@@ -151,7 +164,7 @@ class ResultTable:
         return write_whole(target, lambda file: file.write(data), "table")
 
     def to_markdown(self) -> str:
-        """The table as Markdown, numbers to six digits."""
+        """Return the table as Markdown, numbers to six significant digits."""
         cells = [[text.replace("|", "\\|") for text in line] for line in self._lines()]
         rule = ["--:" if right else "---" for right in self._right()]
         return "\n".join(f"| {' | '.join(line)} |" for line in (cells[0], rule, *cells[1:])) + "\n"
@@ -186,7 +199,7 @@ class ResultTable:
         return [self._titles(), *([_shown(cell) for cell in row] for row in self.rows)]
 
     def _right(self) -> list[bool]:
-        """Which columns stand to the right: those that hold numbers."""
+        """Return which columns are aligned to the right: those of numbers."""
         return [self.column(name).dtype == float for name in self.columns]
 
 
@@ -199,6 +212,7 @@ def _shown(cell: Cell) -> str:
 
 
 def _in_csv(cell: Cell) -> Any:
-    if isinstance(cell, str):  # the csv module leaves a lone carriage return unquoted
+    # The csv module does not quote a lone carriage return, which readers take for a line end.
+    if isinstance(cell, str):
         return cell.replace("\r\n", "\n").replace("\r", "\n")
     return json.dumps(cell) if isinstance(cell, tuple) else cell

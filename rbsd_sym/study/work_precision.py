@@ -1,4 +1,4 @@
-"""Work and precision: the error of integrators against the time they take."""
+"""Work and precision: the error of integrators against the CPU time they take."""
 
 from __future__ import annotations
 
@@ -33,11 +33,20 @@ _UNITS = {
     "floor": "",
 }
 Contender = Any
-"""An integrator, or a function without arguments that returns a `Trajectory` at the same times."""
+"""An integrator, or a function without arguments that returns a `Trajectory` at the same times.
+
+Such a function may carry a `label`, which the table shows as its setting.
+"""
 
 
 class Reference(NamedTuple):
-    """A trajectory to measure errors against, what made it, and how far a second one is from it."""
+    """A trajectory that errors are measured against; `converged` returns one.
+
+    Fields:
+        trajectory: the reference, at the output times of the comparison.
+        floor: difference of a second method from it, as an error; smaller errors mean nothing.
+        names: of the method that made it, and of the second one.
+    """
 
     trajectory: Trajectory
     floor: float
@@ -55,27 +64,30 @@ def work_precision(
     params: Params | None = None,
     start: Start | None = None,
 ) -> ResultTable:
-    """Error and CPU time of each integrator at each setting.
+    """Return error and CPU time of each integrator at each setting.
 
-    The error is the largest over the output times of position, rotation angle, velocity and angular
-    velocity of all bodies, each relative to its excursion: its largest distance from the start over
-    the run and all bodies. A run that fails is a row with its outcome and no error; one that claims
-    success and is wrong is a row with its error.
+    The error is the largest, over output times and bodies, of the errors in position, rotation
+    angle, velocity and angular velocity, each over its excursion: the largest distance from the
+    start over the run and all bodies. A run that fails is a row with its outcome and no error; one
+    that reports success with wrong numbers is a row with its error.
+
+    >>> table = rs.study.work_precision(model, [rs.Idas(1e-6, 1e-8), rs.Dop853(1e-6, 1e-8)], 2.0)
+    >>> rs.plots.work_precision(table)
 
     Arguments:
-        integrators: in order; under names, or under those of their types.
-        times: as in `simulate`, but a number gives 20 intervals.
-        reference: by default two methods at tight tolerances (`converged`).
-        repeats: of each run, after one that builds; the median time counts, the shortest and the
-            longest are beside it. Times are CPU times of this thread, of the whole call.
+        integrators: a list, or lists by the name of the method, such as those of `contenders`.
+        times: as in `simulate`, but a number means 20 intervals.
+        reference: by default the result of `converged`.
+        repeats: timed runs, after one that builds the integrator. Times are CPU times of this
+            thread for the whole call; the median is `time`.
         inputs, params, start: as in `simulate`.
 
     Returns:
-        Table: method, setting, error, its four parts, time, time_min, time_max (s), steps,
-            outcome, floor (of the reference).
+        Columns method, setting, error, its four parts, time, time_min, time_max (s), steps,
+        outcome, floor (of the reference).
 
     Raises:
-        ValueError: no integrators, no body in the model's outputs, a reference at other times.
+        ValueError: no integrators; no bodies among the model's outputs; other output times.
     """
     as_model(model, "work_precision")
     given: Given = {"inputs": inputs, "params": params, "start": start}
@@ -101,6 +113,7 @@ def work_precision(
 
 
 def _row(run: Callable[[], Trajectory], repeats: int, measure: ErrorOf) -> tuple[Any, ...]:
+    # A run that reports success may still be wrong, which only its measured error shows.
     trajectory, seconds = _timed(run, repeats)
     errors: dict[str, float | None] = dict.fromkeys(_QUANTITIES)
     if trajectory.outcome.ok:
@@ -125,12 +138,21 @@ def converged(
     params: Params | None = None,
     start: Start | None = None,
 ) -> Reference:
-    """A run at the tightest useful tolerances, and its difference from one of another method.
+    """Return a run at the tightest useful tolerances, checked by another method.
 
-    Of `Dop853` (without algebraic unknowns), `Rosenbrock` and `Idas` the two that agree best.
+    `Idas`, `Rosenbrock` and, without algebraic unknowns, `Dop853` simulate the model. Of the two
+    that agree best, one is the reference, and their difference its `floor`.
+
+    >>> reference = rs.study.converged(model, 2.0)
+
+    Arguments:
+        model: what `compile_scene` returns.
+        times: as in `simulate`, but a number means 20 intervals.
+        inputs, params, start: as in `simulate`.
 
     Raises:
         IntegrationError: fewer than two of them reach the end.
+        ValueError: no bodies among the model's outputs.
     """
     grid = _grid(times)
     methods: list[Any] = [] if model.n_z else [Dop853(1e-13, 1e-15, max_steps=200_000)]
@@ -155,39 +177,54 @@ def converged(
 
 
 class ErrorOf:
-    """The error of a trajectory against a reference: its largest parts over time and bodies."""
+    """The error of trajectories against a reference; a call returns that of one trajectory.
+
+    Arguments:
+        model: of all trajectories.
+        reference: at the output times at which errors are measured.
+
+    Raises:
+        ValueError: no bodies among the model's outputs.
+    """
 
     def __init__(self, model: Model, reference: Trajectory) -> None:
         owners = (o.owner for o in model.dae.outputs.values() if o.quantity == "angular_velocity")
         self.bodies = list(owners)
         if not self.bodies:
-            raise ValueError(f"model '{model.name}': no bodies to compare")
+            raise ValueError(
+                f"model '{model.name}': no bodies among its outputs to compare; compile the scene "
+                "with the outputs of a body"
+            )
         self.t, self._exact = reference.t, _motions(reference, self.bodies)
-        ways = {q: [_way(q, m[q], m[q][:1]) for m in self._exact.values()] for q in _QUANTITIES}
-        self.excursions = {q: float(np.max(way)) for q, way in ways.items()}
+        moved = {
+            q: [_distance(q, m[q], m[q][:1]) for m in self._exact.values()] for q in _QUANTITIES
+        }
+        # One excursion for all bodies: a body that hardly moves is not measured by its own motion,
+        # of which rounding would be a large part.
+        self.excursions = {q: float(np.max(distances)) for q, distances in moved.items()}
 
     def __call__(self, trajectory: Trajectory) -> dict[str, float | None]:
-        """Error of each quantity, None for one that does not move.
+        """Return the error of each quantity, relative to its excursion; None if nothing moves.
 
         Raises:
-            ValueError: it has other output times than the reference.
+            ValueError: the trajectory has other output times than the reference.
         """
         if len(trajectory.t) != len(self.t) or np.abs(trajectory.t - self.t).max() > 1e-9:
             raise ValueError(
                 f"{trajectory.name}: {len(trajectory.t)} output times, the reference has "
-                f"{len(self.t)}; both need the same"
+                f"{len(self.t)}; simulate both at the same times"
             )
         errors: dict[str, float | None] = {}
         found = _motions(trajectory, self.bodies)
         for q in _QUANTITIES:
             size = self.excursions[q]
-            ways = (_way(q, found[b][q], self._exact[b][q]) for b in self.bodies)
-            errors[q] = max(float(np.max(way)) for way in ways) / size if size > 0 else None
+            distances = (_distance(q, found[b][q], self._exact[b][q]) for b in self.bodies)
+            errors[q] = max(float(np.max(d)) for d in distances) / size if size > 0 else None
         return errors
 
 
 def _motions(trajectory: Trajectory, bodies: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
-    """Columns of each body, by quantity."""
+    """Return the columns of each body, by quantity."""
     names = dict(
         zip(_QUANTITIES, ("position", "quaternion", "velocity", "angular_velocity"), strict=True)
     )
@@ -195,11 +232,12 @@ def _motions(trajectory: Trajectory, bodies: Sequence[str]) -> dict[str, dict[st
     return {b: {q: trajectory[f"{b}.{name}"] for q, name in names.items()} for b in bodies}
 
 
-def _way(quantity: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance of two columns over time (n,); of quaternions the angle between them, rad."""
+def _distance(quantity: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the distance of two columns over time (n,); of quaternions the rotation angle, rad."""
     if quantity != "angle":
         return np.linalg.norm(a - b, axis=1)
-    # 2 asin of half the chord, between q and the nearer of q and -q.
+    # q and -q are the same rotation, so the shorter chord counts. It spans half the rotation angle
+    # on the unit sphere: angle = 4 asin(chord / 2), which unlike acos(q'q) keeps small angles.
     chord = np.minimum(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
     return 4 * np.arcsin(np.minimum(chord / 2, 1.0))
 
@@ -215,18 +253,18 @@ def _named(integrators: Any) -> list[tuple[str, Contender]]:
 
 
 def setting_text(contender: Contender) -> str:
-    """What sets a contender apart: its `label`, or the fields that are not their defaults."""
+    """Return what distinguishes a contender: its `label`, or its fields other than the defaults."""
     if hasattr(contender, "label"):
         return str(contender.label)
     if not is_dataclass(contender):
         return getattr(contender, "__name__", "")
     own = [(f, getattr(contender, f.name)) for f in fields(contender)]
-    told = (
+    texts = (
         f"{f.name} {value:g}" if isinstance(value, float) else f"{f.name} {value}"
         for f, value in own
         if f.default_factory is MISSING and value != f.default
     )
-    return ", ".join(told)
+    return ", ".join(texts)
 
 
 def _runner(
@@ -235,11 +273,16 @@ def _runner(
     if hasattr(contender, "solve"):
         return lambda: simulate(model, grid, contender, throw=False, **given)
     if not callable(contender):
-        raise TypeError(f"work_precision: {contender!r}; give integrators, or functions")
+        raise TypeError(
+            f"work_precision: {contender!r} is neither an integrator nor a function; give objects "
+            "such as Idas(), or functions that return a Trajectory"
+        )
     return contender
 
 
 def _timed(run: Callable[[], Trajectory], repeats: int) -> tuple[Trajectory, list[float]]:
+    # The first run builds the integrator, which the model keeps. CPU time of this thread leaves out
+    # what other processes of the machine do meanwhile.
     trajectory, seconds = run(), []
     for _ in range(max(1, repeats)):
         started = time.thread_time()

@@ -21,7 +21,7 @@ from rbsd_sym.plots import motion_files
 from rbsd_sym.plots.motion_camera import back_to_front, camera, hidden
 from rbsd_sym.plots.motion_track import Source, Track, track
 from rbsd_sym.plots.shapes import (
-    ASLEEP,
+    INACTIVE,
     box_of_inertia,
     corners,
     drawing_of,
@@ -193,7 +193,8 @@ def test_show_false_hides_and_asleep_is_grey(driven: Run) -> None:
     assert drawn.boxes.p.shape[1] == 1
     assert drawn.ends.p.shape[1] == 6  # drive, link, asleep
     assert (drawn.active == [True, True, False]).all()
-    assert drawn.colours[2] == pytest.approx([int(ASLEEP[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+    grey = [int(INACTIVE[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    assert drawn.colours[2] == pytest.approx(grey)
     assert drawn.diameters[1] == 0.06
 
 

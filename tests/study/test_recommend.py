@@ -153,7 +153,7 @@ def test_modes_of_a_known_system() -> None:
 @pytest.mark.parametrize(("options", "message"), [
     ({"rtol": 0}, "rtol 0; it is a number above 0 and below 0.1"),
     ({"rtol": 0.5}, "rtol 0.5; it is"), ({"rtol": "tight"}, "rtol 'tight'; it is"),
-    ({"rtol": 1e-12}, "below 1e-10 no pilot"), ({"t_end": -1}, "t_end -1 s; it is"),
+    ({"rtol": 1e-12}, "below 1e-10 no pilot run can resolve"), ({"t_end": -1}, "t_end -1 s; it is"),
     ({"t_end": math.nan}, "t_end nan s; it is"), ({"seconds": 0}, "seconds 0 s; it is"),
     ({"params": {"k": 1.0}}, "no parameter 'k'"),
 ])  # fmt: skip
@@ -163,7 +163,7 @@ def test_bad_requests(options: dict[str, Any], message: str) -> None:
 
 
 def test_what_cannot_be_recommended_is_said() -> None:
-    with pytest.raises(TypeError, match="is a Scene; give what compile_scene gives"):
+    with pytest.raises(TypeError, match="model is a Scene; give a model, such as compile_scene"):
         rs.study.recommend(reference.build("single"))  # type: ignore[arg-type]
     still = rs.Scene("still", [rs.RigidBody("body", 1, (1, 1, 1))], [])
     with warnings.catch_warnings():

@@ -26,7 +26,7 @@ def hinged_column(length: float = 0.5) -> rs.Scene:
 
 
 def make(point: dict) -> rs.Model:
-    """The column of another length, which is no Param."""
+    """The column of another length, which is not a Param."""
     return rs.compile_scene(hinged_column(point["length"]))
 
 
@@ -202,7 +202,7 @@ def test_points_that_fail_are_rows_with_a_reason() -> None:
 @pytest.mark.parametrize(
     ("axes", "message"),
     [
-        (({"k": [1]}, {"damping": [1]}), r"'k' is no Param or Input.*stiffness.*make\(point\)"),
+        (({"k": [1]}, {"damping": [1]}), r"'k' is not a Param or Input.*stiffness.*make\(point\)"),
         (({"damping": [1]}, {"damping": [1]}), "both axes are 'damping'"),
         (({}, {"damping": [1]}), "x_axis {}; give one name with finite values"),
         (({"stiffness": []}, {"damping": [1]}), "give one name with finite values"),
@@ -218,7 +218,7 @@ def test_bad_axes_are_refused(axes: tuple, message: str) -> None:
 def test_what_makes_no_models_is_refused() -> None:
     with pytest.raises(TypeError, match="give a model, or make"):
         rs.study.stability_map("column", {"a": [1]}, {"b": [1]})  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="gave a Scene; it returns a model"):
+    with pytest.raises(TypeError, match="gave a Scene; return a model"):
         rs.study.stability_map(lambda point: hinged_column(), {"a": [1]}, {"b": [1]})  # type: ignore[arg-type]
 
 

@@ -214,7 +214,7 @@ def test_files_of_something_else_are_refused_and_left_alone(tmp_path: Path) -> N
         assert file.read_bytes() == text
     for foreign in (b"k,value\n1,1\n", b"no line end", b'{"format": "other"}\n', b"[]\n"):
         file.write_bytes(foreign)
-        with pytest.raises(ValueError, match=r"no file of 'rbsd_sym sweep 1'; choose another"):
+        with pytest.raises(ValueError, match=r"not a file of 'rbsd_sym sweep 1'; choose another"):
             sweep(square, POINTS, Serial(), file)
         assert file.read_bytes() == foreign
     with pytest.raises(ValueError, match=r"cannot be written .*make its folder"):
@@ -290,7 +290,7 @@ def test_a_script_without_a_main_guard_is_told(tmp_path: Path) -> None:
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert result.returncode == 1
-    assert 'belongs under `if __name__ == "__main__":`' in result.stderr.splitlines()[-1]
+    assert 'put what it does under `if __name__ == "__main__":`' in result.stderr.splitlines()[-1]
 
 
 def test_exceptions_and_exits_are_rows() -> None:
@@ -303,10 +303,10 @@ def test_exceptions_and_exits_are_rows() -> None:
     assert table.rows[0][1].startswith("IntegrationError: mini: ")
     assert sweep(leaves, [{"k": 1}], Serial()).rows == ((1, "SystemExit: enough"),)
     nothing = sweep(print_nothing, [{"k": 1}], Serial()).rows[0][1]
-    assert "print_nothing gave None; return a number" in nothing
+    assert "print_nothing returned None; return a number" in nothing
     symbol = sweep(lambda point: {"x": ca.SX.sym("x")}, [{"k": 1}], Serial()).rows[0][1]
-    assert (
-        symbol == "TypeError: 'x': a SX is no cell; give a number, a text, None, or a list of such"
+    assert symbol == (
+        "TypeError: 'x': a SX cannot be a cell; give a number, a text, None, or a list of such"
     )
 
 
@@ -340,7 +340,7 @@ def print_nothing(point: dict[str, Any]) -> None:
         ([{"error": 1}], "'error' is a column of the result; rename"),
         ([{"k": [1, 2]}], r"'k': \(1, 2\); give a number or a text"),
         ([{"k": None}], "'k': None; give a number or a text"),
-        ([{"k": 1j}], "point 0, 'k': a complex is no cell"),
+        ([{"k": 1j}], "point 0, 'k': a complex cannot be a cell"),
         ([{"value": 1}], "the result has 'value', which the points have"),
     ],
 )
@@ -350,7 +350,7 @@ def test_points_that_do_not_fit(points: Any, words: str) -> None:
 
 
 def test_functions_that_do_not_fit() -> None:
-    remedy = "cannot have .*define it at the top level"
+    remedy = "cannot import .*define it at the top level"
     with pytest.raises(ValueError, match=f"lambda.*{remedy}|{remedy}"):
         sweep(lambda point: 1.0, POINTS)
     with pytest.raises(ValueError, match=remedy):

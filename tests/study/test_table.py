@@ -46,7 +46,7 @@ def test_numbers_of_numpy_and_casadi_become_plain() -> None:
     assert Table(("a",), ("",), ((ca.DM([1, 2]),),)).rows == (((1.0, 2.0),),)
     assert [type(v) for v in row] == [float, int, bool, tuple, float, type(None)]
     for bad in (ca.SX.sym("x"), 1j, {1}, object()):
-        with pytest.raises(TypeError, match="is no cell; give a number"):
+        with pytest.raises(TypeError, match="cannot be a cell; give a number"):
             Table(("a",), ("",), ((bad,),))
 
 
