@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from ..base.names import joined
+from .program import identity
 
 
 @dataclass(frozen=True)
@@ -79,10 +80,10 @@ class Part(Instance):
         return numbers_of(self.constants)
 
     @cached_property
-    def signature(self) -> tuple[bytes, tuple[str, ...]]:
+    def signature(self) -> tuple[bytes, str]:
         """What equal constants have in common, to be compared."""
-        symbolic = np.flatnonzero(np.isnan(self.numbers))
-        return self.numbers.tobytes(), tuple(str(self.constants[int(i)]) for i in symbolic)
+        symbolic = np.flatnonzero(np.isnan(self.numbers)).tolist()
+        return self.numbers.tobytes(), identity(pick(self.constants, symbolic))
 
 
 def pick(column: ca.SX, index: Sequence[int]) -> ca.SX:

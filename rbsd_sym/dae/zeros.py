@@ -1,7 +1,10 @@
-"""Proof of zeros: expressions replayed with an interval for every node.
+"""Proof of zeros: expressions replayed with an interval for every intermediate result.
 
-CasADi folds 0 x and x + 0 as it builds. What it cannot see needs signs: atan2(0, x) is zero where x
-is a square root. A node whose interval is one point becomes that number.
+CasADi simplifies 0 x and x + 0 while it builds an expression. Others take signs: atan2(0, x) is zero
+if x is a square root. A result whose interval is a single point is replaced by that number.
+
+The proofs must be sound, since a state whose rate is proven to be zero leaves the model. An
+operation without a rule here may have any value, and it is never replaced.
 """
 
 from __future__ import annotations
@@ -12,16 +15,21 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from .program import repeated
+
 
 class Bounds(NamedTuple):
-    """Bounds of a value; the states themselves are finite, of any size."""
+    """Bounds of a value, wherever that value and those it was computed from are numbers (not NaN).
+
+    States, inputs and parameters are finite, of any size.
+    """
 
     low: float
     high: float
 
     @property
     def is_point(self) -> bool:
-        """Whether the value is known."""
+        """Whether only one finite value is possible."""
         return self.low == self.high and math.isfinite(self.low)
 
 
@@ -31,7 +39,9 @@ _UNIT = Bounds(-1.0, 1.0)
 
 
 def fold(expression: ca.SX, symbols: ca.SX) -> ca.SX:
-    """The column with every node that is provably one number replaced by it.
+    """Return a column in which every intermediate result that is provably one number is that number.
+
+    Calls of tables and of Functions that are never inlined are kept (see `program.repeated`).
 
     Arguments:
         expression: column (n, 1) over the symbols.
@@ -40,6 +50,7 @@ def fold(expression: ca.SX, symbols: ca.SX) -> ca.SX:
     if expression.is_constant():
         return expression
     program = ca.Function("fold", [symbols], [ca.densify(expression)])
+    nodes = program.instructions_sx()
     size = program.sz_w()
     values: list[ca.SX] = [ca.SX(0)] * size
     bounds: list[Bounds] = [ANY] * size
@@ -50,28 +61,34 @@ def fold(expression: ca.SX, symbols: ca.SX) -> ca.SX:
         if op == ca.OP_OUTPUT:
             rows[outputs[1]] = values[inputs[0]]
             continue
-        out = outputs[0]
         if op == ca.OP_INPUT:
-            values[out], bounds[out] = symbols[inputs[1]], ANY
+            results, bound = [symbols[inputs[1]]], ANY
         elif op == ca.OP_CONST:
-            number = program.instruction_constant(k)
-            values[out], bounds[out] = ca.SX(number), Bounds(number, number)
+            results, bound = [ca.SX(program.instruction_constant(k))], ANY
         else:
-            arguments = [values[i] for i in inputs]
-            value = (ca.SX.binary if len(inputs) == 2 else ca.SX.unary)(op, *arguments)
+            results = repeated(op, nodes[k], [values[i] for i in inputs])
             bound = _bound(op, [bounds[i] for i in inputs])
-            if value.is_constant():
-                bound = Bounds(float(value), float(value))
-            values[out] = ca.SX(bound.low) if bound.is_point else value
-            bounds[out] = bound
+        for out, value in zip(outputs, results, strict=True):
+            if out >= 0:  # a result of a call without use has no place
+                own = _known(value) if value.is_constant() else bound
+                values[out] = ca.SX(own.low) if own.is_point else value
+                bounds[out] = own
     return ca.vertcat(*rows)
+
+
+def _known(value: ca.SX) -> Bounds:
+    number = float(value)
+    return ANY if math.isnan(number) else Bounds(number, number)
 
 
 def _bound(op: int, arguments: list[Bounds]) -> Bounds:
     rule = _RULES.get(op)
     bound = rule(*arguments) if rule else ANY
+    if math.isnan(bound.low) or math.isnan(bound.high):  # such as infinity less infinity
+        return ANY
     exact = _ZERO in arguments or all(a.is_point for a in arguments)
-    if bound.is_point and not exact:  # rounding closed it, not a proof
+    # Bounds are rounded to nearest, so that a narrow interval may close to a point that it is not.
+    if bound.is_point and not exact:
         return Bounds(math.nextafter(bound.low, -math.inf), math.nextafter(bound.high, math.inf))
     return bound
 
@@ -80,7 +97,8 @@ def _times(a: Bounds, b: Bounds) -> Bounds:
     if a == _ZERO or b == _ZERO:
         return _ZERO
     products = [x * y for x in a for y in b]
-    if any(math.isnan(p) for p in products):  # 0 times infinity: the factor is finite, any size
+    # 0 times an infinite bound: the factor itself is finite, so that only its sign is known.
+    if any(math.isnan(p) for p in products):
         low = 0.0 if min(a.low, b.low) >= 0 else -math.inf
         return Bounds(low, math.inf)
     return Bounds(min(products), max(products))
@@ -103,7 +121,7 @@ def _over(a: Bounds, b: Bounds) -> Bounds:
 
 
 def _atan2(y: Bounds, x: Bounds) -> Bounds:
-    """atan2(0, x) is 0 for x >= 0 (also at 0, in C); any other angle is bounded by pi."""
+    """Bounds of atan2: atan2(0, x) is 0 for x >= 0 (in C also at 0); angles are within pi."""
     if y == _ZERO and x.low >= 0:
         return _ZERO
     return Bounds(0.0 if y.low >= 0 else -math.pi, math.pi)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..dae.dae import Dae, Expansion
 from ..dae.members import Part, Transition, numbers_of, pick
+from ..dae.program import identity
 from ..dae.zeros import fold
 from .probing import at_rest
 
@@ -85,11 +86,8 @@ class _Frozen:
         part = self.parts[k]
         reads = list(part.reads)
         still, values = self.frozen[reads], self.values[reads]
-        formulas = tuple(
-            str(self.start[i])
-            for i, v, f in zip(reads, values, still, strict=True)
-            if f and np.isnan(v)
-        )
+        symbolic = [row for row, v, f in zip(reads, values, still, strict=True) if f and np.isnan(v)]
+        formulas = identity(pick(self.dae.x_start, symbolic))
         given = np.where(still, values, np.nan)
         key = (part.kernel.__hash__(), still.tobytes(), given.tobytes(), formulas, part.signature)
         if key not in self.known:
