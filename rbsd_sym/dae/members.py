@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from ..base.names import joined
-from .program import identity
+from ..base.program import identity
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Proof of zeros: expressions replayed with an interval for every intermediate result.
 
-CasADi simplifies 0 x and x + 0 while it builds an expression. Others take signs: atan2(0, x) is zero
-if x is a square root. A result whose interval is a single point is replaced by that number.
+CasADi simplifies 0 x and x + 0 while it builds an expression. Others take signs: atan2(0, x) is
+zero if x is a square root. A result whose interval is a single point is replaced by that number.
 
 The proofs must be sound, since a state whose rate is proven to be zero leaves the model. An
 operation without a rule here may have any value, and it is never replaced.
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from .program import repeated
+from ..base.program import repeated
 
 
 class Bounds(NamedTuple):
@@ -39,7 +39,7 @@ _UNIT = Bounds(-1.0, 1.0)
 
 
 def fold(expression: ca.SX, symbols: ca.SX) -> ca.SX:
-    """Return a column in which every intermediate result that is provably one number is that number.
+    """Return the column with every intermediate result that is provably one number replaced by it.
 
     Calls of tables and of Functions that are never inlined are kept (see `program.repeated`).
 

@@ -1,8 +1,8 @@
 """Kernels as C functions that work on several instances at once.
 
 CasADi's own C code takes one instance after another. Here every number is a vector with one entry
-(lane) for each of four instances; with compilers other than GCC and Clang it has a single lane. Each
-lane goes through the same operations in the same order as CasADi's code, so that results are equal.
+(lane) for each of four instances; with compilers other than GCC and Clang it has a single lane.
+Each lane goes through the operations of CasADi's code in the same order, so that results are equal.
 """
 
 from __future__ import annotations

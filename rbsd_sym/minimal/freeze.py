@@ -10,7 +10,6 @@ import numpy as np
 
 from ..dae.dae import Dae, Expansion
 from ..dae.members import Part, Transition, numbers_of, pick
-from ..dae.program import identity
 from ..dae.zeros import fold
 from .probing import at_rest
 
@@ -86,8 +85,11 @@ class _Frozen:
         part = self.parts[k]
         reads = list(part.reads)
         still, values = self.frozen[reads], self.values[reads]
-        symbolic = [row for row, v, f in zip(reads, values, still, strict=True) if f and np.isnan(v)]
-        formulas = identity(pick(self.dae.x_start, symbolic))
+        formulas = tuple(
+            self.start[i].element_hash()
+            for i, v, f in zip(reads, values, still, strict=True)
+            if f and np.isnan(v)
+        )
         given = np.where(still, values, np.nan)
         key = (part.kernel.__hash__(), still.tobytes(), given.tobytes(), formulas, part.signature)
         if key not in self.known:

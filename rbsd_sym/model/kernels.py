@@ -14,9 +14,9 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
+from ..base.program import identity
 from ..dae.dae import Dae
 from ..dae.members import Hold, numbers_of, pick
-from ..dae.program import identity
 from ..dae.zeros import fold
 
 _STRUCTURAL = (0.0, 1.0, -1.0)
