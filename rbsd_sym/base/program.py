@@ -8,8 +8,8 @@ Facts of CasADi 3.8, found by experiment, that this file rests on:
 - `SX.unary(op, x)` and `SX.binary(op, x, y)` return 0 for every op that they do not know, such as
   `OP_CALL`, so that code which repeats instructions must not pass them one it does not know either.
 - `jacobian`, `jtimes`, `hessian`, `jacobian_sparsity`, `which_depends`, `depends_on`, `substitute`,
-  `symvar`, `cse` and the C code generator treat calls correctly. `is_constant()` is False for a call
-  with numbers, and so is `is_equal` for two calls with the same arguments.
+  `symvar`, `cse` and the C code generator treat calls correctly. `is_constant()` is False for a
+  call with numbers, and so is `is_equal` for two calls with the same arguments.
 - `str` prints 6 digits of a number, and of a callee only its name.
 """
 
@@ -17,24 +17,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from functools import cache
 
 import casadi as ca
 import numpy as np
 
-_ONE = frozenset(
-    getattr(ca, f"OP_{name}")
-    for name in (
-        "NEG EXP LOG SQRT SQ TWICE SIN COS TAN ASIN ACOS ATAN NOT FLOOR CEIL FABS SIGN ERF INV "
-        "SINH COSH TANH ASINH ACOSH ATANH ERFINV LOG1P EXPM1"
-    ).split()
-)
-_TWO = frozenset(
-    getattr(ca, f"OP_{name}")
-    for name in (
-        "ADD SUB MUL DIV POW CONSTPOW LT LE EQ NE AND OR FMOD COPYSIGN IF_ELSE_ZERO FMIN FMAX "
-        "ATAN2 HYPOT REMAINDER"
-    ).split()
-)
+_CODES = 128  # instructions of CasADi are numbered below
 _FORMULAS = frozenset(
     ("LinearInterpolant", "BSplineInterpolant", "SXFunction", "MXFunction", "Map")
 )
@@ -43,20 +31,31 @@ _FORMULAS = frozenset(
 def repeated(op: int, node: ca.SX, arguments: Sequence[ca.SX]) -> list[ca.SX]:
     """Return the results of an instruction for other arguments.
 
-    A call stays a call of the same Function; with numbers only it becomes numbers, if the callee is
-    a table or a formula, so that these are its values for good. An instruction that is not known
-    here, such as one that prints, stays as it is.
+    A call stays a call of the same Function. With numbers only it becomes numbers, if the callee is
+    a table or a formula and so always gives the same. An instruction that is not known stays as it
+    is.
 
     Arguments:
         op: `Function.instruction_id` of the instruction.
         node: its entry in `Function.instructions_sx`.
         arguments: scalars that are equal to the instruction's own, in a simpler form.
     """
-    if op in _ONE:
-        return [ca.SX.unary(op, *arguments)]
-    if op in _TWO:
-        return [ca.SX.binary(op, *arguments)]
+    if op in _operations():
+        return [(ca.SX.binary if len(arguments) == 2 else ca.SX.unary)(op, *arguments)]
     return _called(node.which_function(), arguments) if op == ca.OP_CALL else [node]
+
+
+@cache
+def _operations() -> frozenset[int]:
+    """Operations that `SX.unary` or `SX.binary` can build, found by trying all codes."""
+    a, b = ca.SX.sym("a"), ca.SX.sym("b")
+    built = [
+        (op, node)
+        for op in range(_CODES)
+        # CasADi has a code of its own for powers with a constant exponent.
+        for node in (ca.SX.unary(op, a), ca.SX.binary(op, a, b), ca.SX.binary(op, a, 0.7))
+    ]
+    return frozenset(op for op, node in built if not node.is_constant() and node.op() == op)
 
 
 def _called(callee: ca.Function, arguments: Sequence[ca.SX]) -> list[ca.SX]:
