@@ -100,6 +100,18 @@ def content(function: ca.Function) -> str:
     return hashlib.sha256(" ".join([function.serialize(), *callbacks]).encode()).hexdigest()
 
 
+def without_mixed_derivatives(function: ca.Function) -> list[str]:
+    """Return the names of callees whose second derivatives CasADi takes to be zero and are not.
+
+    They are linear tables of several numbers: between grid points these are multilinear.
+    """
+    return [
+        callee.name()
+        for callee in function.find_functions()
+        if callee.class_name() == "LinearInterpolant" and callee.nnz_in() > 1
+    ]
+
+
 def without_derivative(function: ca.Function) -> list[str]:
     """Return the names of the callees of a Function of which CasADi has no derivatives."""
     names = []

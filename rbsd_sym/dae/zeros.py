@@ -22,19 +22,33 @@ class Bounds(NamedTuple):
     """Bounds of a value, wherever that value and those it was computed from are numbers (not NaN).
 
     States, inputs and parameters are finite, of any size.
+
+    Fields:
+        minus: whether the value may be -0.0, which atan2 tells from 0.0: ceil(-0.5), for instance.
     """
 
     low: float
     high: float
+    minus: bool = True
 
     @property
     def is_point(self) -> bool:
         """Whether only one finite value is possible."""
         return self.low == self.high and math.isfinite(self.low)
 
+    @property
+    def is_zero(self) -> bool:
+        """Whether the value is 0, of either sign."""
+        return self.low == self.high == 0
+
+    @property
+    def is_positive(self) -> bool:
+        """Whether the value is 0.0 or larger."""
+        return self.low >= 0 and not self.minus
+
 
 ANY = Bounds(-math.inf, math.inf)
-_ZERO = Bounds(0.0, 0.0)
+_ZERO = Bounds(0.0, 0.0, False)
 _UNIT = Bounds(-1.0, 1.0)
 
 
@@ -78,7 +92,7 @@ def fold(expression: ca.SX, symbols: ca.SX) -> ca.SX:
 
 def _known(value: ca.SX) -> Bounds:
     number = float(value)
-    return ANY if math.isnan(number) else Bounds(number, number)
+    return ANY if math.isnan(number) else Bounds(number, number, False)
 
 
 def _bound(op: int, arguments: list[Bounds]) -> Bounds:
@@ -86,7 +100,7 @@ def _bound(op: int, arguments: list[Bounds]) -> Bounds:
     bound = rule(*arguments) if rule else ANY
     if math.isnan(bound.low) or math.isnan(bound.high):  # such as infinity less infinity
         return ANY
-    exact = _ZERO in arguments or all(a.is_point for a in arguments)
+    exact = any(a.is_zero for a in arguments) or all(a.is_point for a in arguments)
     # Bounds are rounded to nearest, so that a narrow interval may close to a point that it is not.
     if bound.is_point and not exact:
         return Bounds(math.nextafter(bound.low, -math.inf), math.nextafter(bound.high, math.inf))
@@ -94,58 +108,66 @@ def _bound(op: int, arguments: list[Bounds]) -> Bounds:
 
 
 def _times(a: Bounds, b: Bounds) -> Bounds:
-    if a == _ZERO or b == _ZERO:
+    if a.is_zero or b.is_zero:
         return _ZERO
-    products = [x * y for x in a for y in b]
+    products, minus = [x * y for x in a[:2] for y in b[:2]], not (a.is_positive and b.is_positive)
     # 0 times an infinite bound: the factor itself is finite, so that only its sign is known.
     if any(math.isnan(p) for p in products):
         low = 0.0 if min(a.low, b.low) >= 0 else -math.inf
-        return Bounds(low, math.inf)
-    return Bounds(min(products), max(products))
+        return Bounds(low, math.inf, minus)
+    return Bounds(min(products), max(products), minus)
 
 
 def _square(a: Bounds) -> Bounds:
     high = max(a.low * a.low, a.high * a.high)
     low = 0.0 if a.low <= 0 <= a.high else min(a.low * a.low, a.high * a.high)
-    return Bounds(low, high)
+    return Bounds(low, high, False)
 
 
 def _over(a: Bounds, b: Bounds) -> Bounds:
-    if a == _ZERO and (b.low > 0 or b.high < 0):
+    if a.is_zero and (b.low > 0 or b.high < 0):
         return _ZERO
     if b.low > 0 and math.isfinite(b.low):
-        return _times(a, Bounds(1 / b.high if b.high else math.inf, 1 / b.low))
-    if b.low >= 0 and a.low >= 0:
-        return Bounds(0.0, math.inf)
+        return _times(a, Bounds(1 / b.high if b.high else math.inf, 1 / b.low, False))
+    if a.is_positive and b.is_positive:
+        return Bounds(0.0, math.inf, False)
     return ANY
 
 
 def _atan2(y: Bounds, x: Bounds) -> Bounds:
-    """Bounds of atan2: atan2(0, x) is 0 for x >= 0 (in C also at 0); angles are within pi."""
-    if y == _ZERO and x.low >= 0:
+    """Bounds of atan2, which is within pi: in C atan2(0, x) is 0 for x >= 0.0, but pi for -0.0."""
+    if y.is_zero and x.is_positive:
         return _ZERO
-    return Bounds(0.0 if y.low >= 0 else -math.pi, math.pi)
+    return Bounds(0.0, math.pi, False) if y.is_positive else Bounds(-math.pi, math.pi)
 
 
 def _sqrt(a: Bounds) -> Bounds:
-    return Bounds(math.sqrt(max(a.low, 0.0)), math.sqrt(max(a.high, 0.0)))
+    return Bounds(math.sqrt(max(a.low, 0.0)), math.sqrt(max(a.high, 0.0)), a.minus)
 
 
 def _absolute(a: Bounds) -> Bounds:
     low = 0.0 if a.low <= 0 <= a.high else min(abs(a.low), abs(a.high))
-    return Bounds(low, max(abs(a.low), abs(a.high)))
+    return Bounds(low, max(abs(a.low), abs(a.high)), False)
 
 
 def _truth(*_: Bounds) -> Bounds:
-    return Bounds(0.0, 1.0)
+    return Bounds(0.0, 1.0, False)
 
 
 def _sum(a: Bounds, b: Bounds) -> Bounds:
-    return Bounds(a.low + b.low, a.high + b.high)
+    return Bounds(a.low + b.low, a.high + b.high, a.minus and b.minus)
 
 
 def _negative(a: Bounds) -> Bounds:
-    return Bounds(-a.high, -a.low)
+    return Bounds(-a.high, -a.low, a.low <= 0 <= a.high)
+
+
+def _largest(a: Bounds, b: Bounds) -> Bounds:
+    return Bounds(max(a.low, b.low), max(a.high, b.high), a.minus or b.minus)
+
+
+def _smallest(a: Bounds, b: Bounds) -> Bounds:
+    return Bounds(min(a.low, b.low), min(a.high, b.high), a.minus or b.minus)
 
 
 _RULES: dict[int, Callable[..., Bounds]] = {
@@ -159,15 +181,15 @@ _RULES: dict[int, Callable[..., Bounds]] = {
     ca.OP_SQ: _square,
     ca.OP_SQRT: _sqrt,
     ca.OP_FABS: _absolute,
-    ca.OP_SIN: lambda a: _ZERO if a == _ZERO else _UNIT,
+    ca.OP_SIN: lambda a: _ZERO if a.is_zero else _UNIT,
     ca.OP_COS: lambda a: _UNIT,
-    ca.OP_TAN: lambda a: _ZERO if a == _ZERO else ANY,
-    ca.OP_TANH: lambda a: _ZERO if a == _ZERO else _UNIT,
-    ca.OP_ASIN: lambda a: _ZERO if a == _ZERO else ANY,
-    ca.OP_ATAN: lambda a: _ZERO if a == _ZERO else ANY,
+    ca.OP_TAN: lambda a: _ZERO if a.is_zero else ANY,
+    ca.OP_TANH: lambda a: _ZERO if a.is_zero else _UNIT,
+    ca.OP_ASIN: lambda a: _ZERO if a.is_zero else ANY,
+    ca.OP_ATAN: lambda a: _ZERO if a.is_zero else ANY,
     ca.OP_ATAN2: _atan2,
-    ca.OP_FMAX: lambda a, b: Bounds(max(a.low, b.low), max(a.high, b.high)),
-    ca.OP_FMIN: lambda a, b: Bounds(min(a.low, b.low), min(a.high, b.high)),
+    ca.OP_FMAX: _largest,
+    ca.OP_FMIN: _smallest,
     ca.OP_LT: _truth,
     ca.OP_LE: _truth,
     ca.OP_EQ: _truth,
@@ -175,5 +197,5 @@ _RULES: dict[int, Callable[..., Bounds]] = {
     ca.OP_NOT: _truth,
     ca.OP_AND: _truth,
     ca.OP_OR: _truth,
-    ca.OP_IF_ELSE_ZERO: lambda c, a: Bounds(min(a.low, 0.0), max(a.high, 0.0)),
+    ca.OP_IF_ELSE_ZERO: lambda c, a: Bounds(min(a.low, 0.0), max(a.high, 0.0), a.minus),
 }
