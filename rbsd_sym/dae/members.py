@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from ..base.names import joined
+from ..base.program import identity
 
 
 @dataclass(frozen=True)
@@ -87,12 +88,12 @@ class Part(Instance):
         return numbers_of(self.constants)
 
     @cached_property
-    def signature(self) -> tuple[bytes, tuple[str, ...]]:
+    def signature(self) -> tuple[bytes, str]:
         """A hashable value; parts have equal constants exactly if it is equal."""
         # NaNs have equal bytes, so that the numbers compare as bytes; symbolic entries compare by
-        # their text.
-        symbolic = np.flatnonzero(np.isnan(self.numbers))
-        return self.numbers.tobytes(), tuple(str(self.constants[int(i)]) for i in symbolic)
+        # their algorithm.
+        symbolic = np.flatnonzero(np.isnan(self.numbers)).tolist()
+        return self.numbers.tobytes(), identity(pick(self.constants, symbolic))
 
 
 def pick(column: ca.SX, index: Sequence[int]) -> ca.SX:

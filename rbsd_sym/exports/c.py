@@ -18,6 +18,7 @@ from . import c_names as names
 from .card import card_text
 from .example import example_text
 from .folder import MANIFEST, Artefact, sha256, write_folder
+from .generated import generated
 from .header import Exported, banner, defaults_signature, header_text, signature
 from .loops import assembles, stub, with_loops
 
@@ -111,7 +112,7 @@ def source_text(model: Model, functions: list[Exported]) -> str:
         "#if defined(__GNUC__)\n"
         '#pragma GCC diagnostic ignored "-Wunused-parameter" /* of CasADi\'s common signature */\n'
         "#endif\n",
-        with_loops(str(generator.dump()), model, loops),
+        with_loops(generated(generator, model), model, loops),
         defaults_signature(model.name),
         defaults_body(model),
         *(_wrapper(model, f) for f in functions),

@@ -11,6 +11,7 @@ from ..model.assembly import with_jacobian
 from ..model.model import Model
 from ..model.values import as_model
 from . import c_names as names
+from .generated import generated
 from .load import OPTIMISED, build
 from .loops import assembles, stub, with_loops
 
@@ -70,7 +71,7 @@ def _source(model: Model, functions: dict[str, ca.Function]) -> str:
             symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
             named = ca.Function(symbol, symbols, [function(*symbols)], list("txzup"), [name])
         generator.add(named, name in ("ode", "alg"))
-    return with_loops(str(generator.dump()), model, loops)
+    return with_loops(generated(generator, model), model, loops)
 
 
 def _block(

@@ -1,8 +1,8 @@
-"""Kernels as C functions that take several instances at once.
+"""Kernels as C functions that work on several instances at once.
 
-CasADi's own code computes one instance after another. Here every number is a vector with an entry
-for each of four instances; compilers other than GCC and Clang get one. Each entry is computed by
-the same operations in the same order as by CasADi's code.
+CasADi's own C code takes one instance after another. Here every number is a vector with one entry
+(lane) for each of four instances; with compilers other than GCC and Clang it has a single lane.
+Each lane goes through the operations of CasADi's code in the same order, so that results are equal.
 """
 
 from __future__ import annotations
@@ -63,8 +63,21 @@ _OF_TWO = {
 } | {ca.OP_CONSTPOW: "pow"}
 
 
+_OWN = frozenset((ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST))
+
+
+def has_lanes(function: ca.Function) -> bool:
+    """Whether `kernel_text` knows every operation of an SX Function.
+
+    It does not know calls of tables and of Functions that are never inlined, for instance: their C
+    code takes one instance.
+    """
+    codes = {function.instruction_id(i) for i in range(function.n_instructions())}
+    return codes <= _OWN | _INFIX.keys() | _OF_ONE.keys() | _OF_TWO.keys()
+
+
 def functions_text(kernels: Iterable[ca.Function]) -> str:
-    """What the kernels call of math.h, for all lanes."""
+    """Return the C text of those functions of math.h that the kernels call, for all lanes."""
     codes = {k.instruction_id(i) for k in kernels for i in range(k.n_instructions())}
     lines = []
     one = "const lanes *a", "LANE(*a, l)"
@@ -80,10 +93,11 @@ def functions_text(kernels: Iterable[ca.Function]) -> str:
 
 
 def kernel_text(function: ca.Function, name: str) -> str:
-    """A C function (arguments ..., out) of lanes for an SX function with one result.
+    """Return the C text of a function (arguments ..., out) on lanes.
 
-    Raises:
-        NotImplementedError: an operation that has no C text here.
+    Arguments:
+        function: SX Function with one result, of operations that have lanes (`has_lanes`).
+        name: of the C function.
     """
     letters = [f"a{k}" for k in range(function.n_in())]
     count = max(1, function.sz_w())
@@ -107,19 +121,15 @@ def _line(function: ca.Function, k: int) -> str:
         return f"out[{to[1]}] = w{inputs[0]};"
     arguments = [f"w{i}" for i in inputs]
     called = _OF_ONE.get(code) or _OF_TWO.get(code)
-    if called:  # by pointers: vectors are passed differently with AVX and without
+    # Arguments go by pointer, since vectors by value are passed differently with and without AVX.
+    if called:
         return f"lanes_{called}({', '.join(f'&{a}' for a in arguments)}, &w{to[0]});"
     if code == ca.OP_CONST:
         value = f"LANES_ALL({_number(function.instruction_constant(k))})"
     elif code == ca.OP_INPUT:
         value = f"a{inputs[0]}[{inputs[1]}]"
-    elif code in _INFIX:
-        value = _INFIX[code].format(*arguments)
     else:
-        raise NotImplementedError(
-            f"{function.name()}: CasADi's operation {code} has no C text here; compile the scene "
-            "with layout='flat'"
-        )
+        value = _INFIX[code].format(*arguments)
     return f"w{to[0]} = {value};"
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from ..model.assembly import Assembled, Piece
 from ..model.model import Model
 from .folder import template
-from .lanes import functions_text, kernel_text
+from .lanes import functions_text, has_lanes, kernel_text
 
 _ARGUMENTS = "const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem"
 
@@ -29,9 +29,14 @@ _QUIET = """#if defined(__GNUC__)
 
 
 def assembles(model: Model, name: str) -> bool:
-    """Whether the function of that name is written as loops."""
+    """Whether the function of that name is written as loops.
+
+    A function with a kernel that has no lanes is not: CasADi writes all of it.
+    """
     own = ("zero", "zero_rate", "jump", "post_newton")
-    return model.kernels and name not in (*model.dae.outputs, *own) and "zero_d" not in name
+    if not model.kernels or name in (*model.dae.outputs, *own) or "zero_d" in name:
+        return False
+    return all(has_lanes(piece.function) for piece in model.assembly.assembled(name).pieces)
 
 
 def stub(model: Model, name: str, symbol: str, with_pattern: bool = False) -> ca.Function:

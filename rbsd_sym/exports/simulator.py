@@ -14,6 +14,7 @@ from ..model.values import as_model
 from .c import call_lines, manifest_text
 from .dop853_text import explicit_parts, tangent_parts
 from .folder import MANIFEST, Artefact, template, write_folder
+from .generated import generated
 from .loops import assembles, stub, with_loops
 from .simulator_casadi import casadi_text
 from .simulator_texts import (
@@ -169,7 +170,7 @@ def _explicit(model: Model, integrator: Exportable, sensitivities: bool) -> str:
             kernel = _renamed(model.function(key), symbol)
         generator.add(kernel)
         wrappers.append(_wrapper(model, key, kernel))
-    text = with_loops(str(generator.dump()), model, loops)
+    text = with_loops(generated(generator, model), model, loops)
     marks = simulator_marks(model, integrator) | explicit_parts()
     marks |= tangent_parts() if sensitivities else {}
     watch = "dop853_tangent" if sensitivities else "dop853_plain"

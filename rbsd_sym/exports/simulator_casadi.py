@@ -17,6 +17,7 @@ from ..model.casadi_events import integrator as with_events
 from ..model.model import Model
 from . import c_names as names
 from .folder import template
+from .generated import generated
 from .simulator_texts import simulator_file, simulator_marks
 
 
@@ -64,7 +65,9 @@ def casadi_text(model: Model, integrator: Any) -> str:
     generator.add(run)
     if model.events:
         generator.add(begin(model, f"{model.name}_sim_begin"))
-    text = _at_run_time(str(generator.dump()), model.n_p + 2 * model.n_u + 2, bool(model.events))
+    text = _at_run_time(
+        generated(generator, model), model.n_p + 2 * model.n_u + 2, bool(model.events)
+    )
     marks = simulator_marks(model, integrator) | _sizes(text, run.name(), "SZ") | {"N_Q": n_q}
     marks |= _event_marks(model, text)
     files = ("simulator_common", "simulator_casadi", "simulator_constant")

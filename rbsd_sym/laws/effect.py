@@ -17,6 +17,7 @@ import numpy as np
 
 from ..base.checks import at_default
 from ..base.names import check_identifier
+from ..base.program import identity
 from ..base.symbols import Leaf, Scalar, is_number, leaves_of, to_expr
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -246,7 +247,9 @@ class Effect:
 
 
 def _plain(value: Any) -> str:
-    return repr(float(value)) if is_number(value) and not isinstance(value, Scalar) else repr(value)
+    if isinstance(value, Scalar):
+        return identity(value.expr)
+    return repr(float(value)) if is_number(value) else repr(value)
 
 
 def _check_number(where: str, value: Any, rule: Rule) -> None:

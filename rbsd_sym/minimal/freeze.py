@@ -86,7 +86,7 @@ class _Frozen:
         reads = list(part.reads)
         still, values = self.frozen[reads], self.values[reads]
         formulas = tuple(
-            str(self.start[i])
+            self.start[i].element_hash()
             for i, v, f in zip(reads, values, still, strict=True)
             if f and np.isnan(v)
         )

@@ -72,7 +72,10 @@ class _Probe:
                 dirty = np.flatnonzero(changed[group.reads].any(axis=0))
             if dirty.size:
                 fresh = self._evaluate(group, dirty)
-                np.add.at(self.totals, group.writes[:, dirty], fresh - known.values[:, dirty])
+                # A rate that is not finite, such as v / v at rest, is for the proof to judge.
+                with np.errstate(invalid="ignore"):
+                    change = fresh - known.values[:, dirty]
+                    np.add.at(self.totals, group.writes[:, dirty], change)
                 known.values[:, dirty] = fresh
 
     def sizes(self) -> np.ndarray:

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from ..base.names import derivative
+from ..base.program import without_mixed_derivatives
 from ..dae.dae import Dae
 from .kernels import Group, groups, output_groups
 
@@ -198,6 +199,12 @@ class Assembly:
         """Second derivatives of l'f by w, sparse and symmetric (n_w, n_w)."""
         found = []
         for group, writes in self._writing(name):
+            if names := without_mixed_derivatives(group.kernel):
+                raise ValueError(
+                    f"model '{self.dae.name}', {name}_hessian: CasADi leaves out the mixed second "
+                    f"derivatives of {', '.join(names)}, linear in several numbers; make it by "
+                    "casadi.interpolant(..., 'bspline', ...)"
+                )
             t, w, c = group.kernel.sx_in()
             scale = ca.SX.sym("l", group.kernel.size1_out(0))
             second, _ = ca.hessian(ca.dot(scale, group.kernel(t, w, c)), w)

@@ -14,8 +14,9 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
+from ..base.program import identity
 from ..dae.dae import Dae
-from ..dae.members import Hold, numbers_of
+from ..dae.members import Hold, numbers_of, pick
 from ..dae.zeros import fold
 
 _STRUCTURAL = (0.0, 1.0, -1.0)
@@ -147,24 +148,21 @@ class _Reader:
             constants,
         )
         known = (*(numbers_of(column) for column in columns[:2]), numbers)
-        texts: list[tuple[int, str]] = []
         x, z, c = (
-            self._column(column, values, seen, texts)
+            self._column(column, values, seen)
             for column, values in zip(columns, known, strict=True)
         )
+        every = ca.vertcat(x, z, c)
+        symbolic = np.flatnonzero(np.isnan(np.concatenate(known))).tolist()
         pattern = tuple(row >= 0 for row in writes)
-        key = (kernel.__hash__(), tuple(texts), pattern)
+        key = (kernel.__hash__(), tuple(symbolic), identity(pick(every, symbolic)), pattern)
         return _Instance(kernel, (x, z, c), np.concatenate(known), tuple(seen), writes, key)
 
-    def _column(
-        self, column: ca.SX, values: np.ndarray, seen: dict[int, int], texts: list[tuple[int, str]]
-    ) -> ca.SX:
-        """The column over local symbols, 0 for its numbers; what is symbolic is told in texts."""
+    def _column(self, column: ca.SX, values: np.ndarray, seen: dict[int, int]) -> ca.SX:
+        """The column over local symbols, 0 for its numbers."""
         out = ca.SX.zeros(len(values))
         for i in np.flatnonzero(np.isnan(values)):
-            out[int(i)] = formula = self._entry(column[int(i)], seen)
-            texts.append((int(i), str(formula)))
-        texts.append((-1, ""))
+            out[int(i)] = self._entry(column[int(i)], seen)
         return out
 
     def _entry(self, entry: ca.SX, seen: dict[int, int]) -> ca.SX:

@@ -21,6 +21,7 @@ from .. import version
 from ..dae.members import Label
 from ..exports import c_names as names
 from ..exports.folder import MANIFEST, Artefact, sha256, template, write_folder
+from ..exports.generated import generated
 from ..exports.header import banner, enum_lines, index_lines
 from .mesh import Method, control_nodes
 from .nlp import Segment, Where
@@ -250,7 +251,7 @@ def _source(made: Parametric, method: Method, sizes: Sizes) -> str:
         qp = _quadratic_program(name, sizes.jacobian, sizes.hessian)
         generator.add(qp)
         marks |= _SOLVER | {"QP_ARG": max(12, qp.sz_arg()), "QP_RES": max(4, qp.sz_res())}
-    code = str(generator.dump())
+    code = generated(generator, made.frame.model)
     files = [
         "ocp_problem",
         *(["ocp_shift"] if sizes.shifts else []),

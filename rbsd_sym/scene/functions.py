@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from ..base.names import check_identifier
+from ..base.program import content, without_derivative
 from ..base.symbols import (
     TIME,
     Array,
@@ -119,9 +120,9 @@ class Traced:
 
     @property
     def text(self) -> str:
-        """The algorithm, line by line."""
+        """All that determines it: what it computes, and its events."""
         said = [f"{e.name} {e.at_once} {e.stops}" for e in self.events]
-        return "\n".join([self.function.str(True), *said])
+        return "\n".join([content(self.function), *said])
 
     @property
     def values(self) -> ca.SX:
@@ -195,7 +196,13 @@ class _Call:
                 "arguments may appear; apply numpy functions (np.sin) to them, so that they are "
                 "recognised"
             )
-        return Traced(ca.Function("user", [*known, column], [expr]), leaves, events)
+        function = ca.Function("user", [*known, column], [expr])
+        if names := without_derivative(function):
+            raise ValueError(
+                f"{self.where}: CasADi has no derivatives of {', '.join(names)}; make it with the "
+                "option {'enable_fd': True}, or use a formula or casadi.interpolant"
+            )
+        return Traced(function, leaves, events)
 
 
 def _copy(value: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..base import checks
 from ..base.names import check_identifier
+from ..base.program import identity
 from ..base.symbols import TIME, Input, Leaf, Param, Scalar, is_number, leaves_of
 from ..mechanics.quantities import SCENE_QUANTITIES
 from .elements import GROUND, Load, Marker, RigidBody, RigidBodySpringDamper
@@ -212,5 +213,5 @@ def _text(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return "[" + " ".join(_text(item) for item in value.flat) + "]"
     if isinstance(value, Scalar):
-        return repr(value)
+        return identity(value.expr)
     return repr(float(value)) if is_number(value) else str(value)

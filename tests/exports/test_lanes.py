@@ -14,7 +14,7 @@ from helpers.compilers import C99, COMPILERS
 
 import rbsd_sym as rs
 from rbsd_sym.exports.folder import template
-from rbsd_sym.exports.lanes import functions_text, kernel_text
+from rbsd_sym.exports.lanes import functions_text, has_lanes, kernel_text
 
 EPS = np.finfo(float).eps
 WAYS = [(c, flag) for c in COMPILERS for flag in ("-O2", "-O0", "-DLANES_SCALAR")]
@@ -76,22 +76,12 @@ def test_every_operation_is_that_of_casadi(compiler: str, flag: str, tmp_path: P
         np.testing.assert_allclose(y[:lanes], exact[:lanes], rtol=8 * EPS, atol=0)
 
 
-def test_operations_without_c_are_refused() -> None:
+def test_operations_that_have_lanes() -> None:
     t, w, k = (ca.SX.sym(name) for name in "twk")
-    with pytest.raises(NotImplementedError, match=r"operation \d+ .* layout='flat'"):
-        kernel_text(ca.Function("odd", [t, w, k], [ca.erfinv(w)]), "odd")
-
-
-def links(count: int) -> rs.Scene:
-    """A hanging chain of so many links."""
-    bodies = [rs.RigidBody(f"b{i}", 1 + i, (1, 1.1, 1.2), position=(i, 0, 0)) for i in range(count)]
-    ends = [rs.Marker(rs.GROUND), *(rs.Marker(b.name, (0.4, 0, 0)) for b in bodies)]
-    joints = [
-        rs.RigidBodySpringDamper(f"j{i}", ends[i], rs.Marker(body.name, (-0.4, 0, 0)),
-                                 [900 + i] * 3 + [5, 6, 7], [3] * 3 + [0.1] * 3)
-        for i, body in enumerate(bodies)
-    ]  # fmt: skip
-    return rs.Scene("links", bodies, joints, gravity=(0, 0.3, -9.81))
+    table = ca.interpolant("table", "linear", [[0, 1]], [0, 1])
+    for odd in (ca.erfinv(w), table(w)):
+        assert not has_lanes(ca.Function("odd", [t, w, k], [ca.sin(w) + odd]))
+    assert has_lanes(every_operation())
 
 
 @pytest.mark.parametrize("count", range(1, 7))
