@@ -137,7 +137,7 @@ def test_a_motion_that_does_not_come_back_is_told() -> None:
 
 def test_bad_calls_of_floquet() -> None:
     model = rs.compile_scene(hinged_column())
-    with pytest.raises(ValueError, match=r"period -1 s; it is positive"):
+    with pytest.raises(ValueError, match=r"period -1 s; give a positive"):
         floquet(model, -1)
     ball = rs.RigidBody("b", 1.0, (1, 1, 1), position=(0, 0, 1))
     floor = rs.RigidBodySpringDamper(
