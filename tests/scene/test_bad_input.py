@@ -193,7 +193,7 @@ def model() -> rs.Model:
 @pytest.mark.parametrize("times", [0, -1.0, NAN, INF, None, "1", [0], [0, 0], [0, 2, 1], [0, NAN],
                                    [[0, 1]]], ids=str)  # fmt: skip
 def test_times(model: rs.Model, times: Any) -> None:
-    rule = "positive and finite" if isinstance(times, (int, float)) else "increase"
+    rule = "give a positive, finite end time" if isinstance(times, (int, float)) else "increase"
     refused(ValueError, lambda: rs.simulate(model, times), "simulate: ", rule)
 
 
