@@ -32,7 +32,7 @@ class Rest(Enum):
     """How a search for an equilibrium ended; the value of a member is its message."""
 
     found = "found"
-    unbalanced = "nothing balances what acts, near the start"
+    unbalanced = "the loads cannot be balanced near the start"
     no_progress = "the search made no progress"
     too_many_iterations = "too many iterations"
     not_finite = "a value is not finite"
@@ -309,7 +309,9 @@ class _Problem:
         labels += [f"the balance of {label.name} is off by" for label in dae.z_labels]
         size = np.where(np.isfinite(rows), np.abs(rows), np.inf)
         residual = float(size.max(initial=0.0))
-        report = f"rest {outcome.value} in {count} iterations, largest residual {residual:.3g}"
+        report = (
+            f"equilibrium {outcome.value} in {count} iterations, largest residual {residual:.3g}"
+        )
         if self.free:
             report += f"; the equations do not determine {', '.join(self.free)}"
         if not outcome.ok:

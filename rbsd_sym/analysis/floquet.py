@@ -334,7 +334,7 @@ def _arguments(model: Model, motion: Trajectory) -> list[np.ndarray]:
 
 
 def _split(flat: np.ndarray, m: int) -> np.ndarray:
-    """Return m matrices that stand side by side as an array (m, rows, columns)."""
+    """Split m matrices side by side, as a mapped Function returns them, into (m, rows, columns)."""
     return flat.reshape(len(flat), m, -1).transpose(1, 0, 2)
 
 

@@ -310,7 +310,7 @@ class _Step:
 
     @staticmethod
     def _own(given: dict[str, Any]) -> list[Any]:
-        """Return the arguments that determine the end of a step, beside the unknowns."""
+        """Return the arguments that determine the end of a step, together with the unknowns."""
         return [given[name] for name in ("h", "x0", "rate0", "a0", "z0", "p")]
 
     def _origin(self, i: int) -> ca.SX:

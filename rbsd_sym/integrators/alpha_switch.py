@@ -64,16 +64,16 @@ class Switch:
         self.proposed = np.inf
         for k in range(self.post.iterations + 1):
             u = self.watch.inputs(new.t)
-            asked = advice(self.model, new.t, new.x, new.z, u, self.experiment.p)
-            proposed = max(asked.step, self.smallest) if asked.step >= 0 else np.inf
+            response = advice(self.model, new.t, new.x, new.z, u, self.experiment.p)
+            proposed = max(response.step, self.smallest) if response.step >= 0 else np.inf
             # At the smallest step an error above the tolerance is accepted: no step could be cut.
-            if asked.error <= self.post.tolerance or h <= 1.001 * self.smallest:
+            if response.error <= self.post.tolerance or h <= 1.001 * self.smallest:
                 self.proposed = proposed
-                return new._replace(x=asked.x), None
+                return new._replace(x=response.x), None
             shorter = proposed < h * (1 - _ROUNDING)
             if shorter or k == self.post.iterations:
                 return new, max(self.smallest, proposed if shorter else h / 2)
-            new = self.attempt(s, h, data=asked.x[self._data])
+            new = self.attempt(s, h, data=response.x[self._data])
             if isinstance(new, Outcome):
                 return new, None
         return new, None

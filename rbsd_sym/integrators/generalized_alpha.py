@@ -258,7 +258,7 @@ class GeneralizedAlpha:
             "time": time.perf_counter() - built,
             "time_build": built - started,
         }
-        # The start is kept, even if nothing came of it.
+        # The start is always part of the trajectory.
         n, report = max(run.saved, 1), outcome.value
         x, z = run.x[:n], run.z[:n]
         if isinstance(end, SegmentEnd):

@@ -188,5 +188,5 @@ def _judge(result: Run) -> Verdict:
     outcome, advice = _REASONS.get(
         flag[0] if flag else "", (Outcome.solver_failed, "try Rosenbrock(), or looser tolerances")
     )
-    said = f" (IDAS says {flag[0]})" if flag else f" ({result.messages.strip()[-200:]})"
-    return Verdict(outcome, t, advice + said)
+    shown = f" (IDAS says {flag[0]})" if flag else f" ({result.messages.strip()[-200:]})"
+    return Verdict(outcome, t, advice + shown)

@@ -32,7 +32,7 @@ CHECKS = 8
 # another one soon.
 _MOST = 20_000
 _FEW = 16
-# Between two checks IDAS may take _STEPS steps on average, beside _BEGIN steps after a restart.
+# Between two checks IDAS may take _STEPS steps on average, and _BEGIN more after a restart.
 # More steps mean fast motion, which needs more checks.
 _STEPS, _BEGIN = 4, 100
 # Output intervals in one segment, at most.
@@ -265,14 +265,14 @@ class SegmentedRun:
         # target is an instant behind last; then the data there hold, and the search goes on to b.
         last, target = a, b
         while True:
-            said = self._advice(target)
+            response = self._advice(target)
             close = target.t - last.t <= self.watch.instant
-            if said.error <= self.post.tolerance or close:
-                changed = bool((said.x != target.x).any())
+            if response.error <= self.post.tolerance or close:
+                changed = bool((response.x != target.x).any())
                 if changed:
                     if target is not b:
                         self.watch.count(target.t, SEARCHED)
-                    return self.watch.check(target.t, said.x, target.z)
+                    return self.watch.check(target.t, response.x, target.z)
                 if target is b:
                     return None
                 last, target = target, b

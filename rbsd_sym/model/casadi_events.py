@@ -55,7 +55,7 @@ _FOUND = 1e-9
 # [2] first time at which events follow each other without end, NEVER if they do not;
 # [_TIMES], [_WHICH] times and indices of the last events, as ring buffers;
 # [_SPENT] for each event 0 while it is armed; otherwise the time of the last transition that found
-# it spent, which means that it fired and its function has not been above zero since.
+# it spent (see the rules in `integrators.events`).
 _TIMES, _WHICH = slice(3, 3 + RECORD), slice(3 + RECORD, 3 + 2 * RECORD)
 _SPENT = slice(3 + 2 * RECORD, None)
 # Written to [_SPENT] at t = 0, where the time itself would mean "armed".

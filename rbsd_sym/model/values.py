@@ -84,7 +84,7 @@ class Given(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """An integration to be done, as checked vectors: what `Integrator.solve` takes beside a model.
+    """An integration to be done, as checked vectors: what `Integrator.solve` takes with a model.
 
     Fields:
         t: output times (n,), s, increasing; the first one is the start.
