@@ -249,9 +249,9 @@ class Model:
 
     @property
     def calls(self) -> bool:
-        """Whether users of `ode` and `alg` should call them rather than inline expressions.
+        """Whether `ode` and `alg` are to be called as Functions rather than inlined.
 
-        So it is for kernels, whose flat expressions are large, and for compiled functions.
+        True for kernels, whose flat expressions are large, and for compiled functions.
         """
         return self.kernels or bool(self.library)
 
