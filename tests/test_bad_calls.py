@@ -102,7 +102,7 @@ def test_truncated_trajectory_files(keep: int, tmp_path: Path) -> None:
     path = rs.simulate(pushed(), 1.0).save(tmp_path / "run")
     damaged = tmp_path / "damaged.npz"
     damaged.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(ValueError, match="no trajectory of rbsd_sym"):
+    with pytest.raises(ValueError, match="not a trajectory of rbsd_sym"):
         rs.Trajectory.load(damaged)
 
 
@@ -138,7 +138,7 @@ def test_failure_between_outputs_says_after() -> None:
 
 def test_an_input_function_gives_numbers_not_symbols() -> None:
     strength = rs.Param("strength", 2.0)
-    with pytest.raises(ValueError, match="uses the symbol strength; it returns a number"):
+    with pytest.raises(ValueError, match="uses the symbol strength; it must return a number"):
         rs.simulate(pushed(), 1.0, inputs={"push": lambda t: strength * t})
 
 

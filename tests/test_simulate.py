@@ -235,7 +235,7 @@ def test_file_in_no_folder_or_of_another_kind(driven: rs.Model, tmp_path: Path) 
     np.savez(tmp_path / "pickled.npz", header=np.array([{"format": 1}], dtype=object))
     (tmp_path / "text.npz").write_text("t, x\n")
     for name in ("foreign", "pickled", "text", "absent"):
-        with pytest.raises(ValueError, match=f"{name}.npz: no trajectory of rbsd_sym"):
+        with pytest.raises(ValueError, match=f"{name}.npz: not a trajectory of rbsd_sym"):
             rs.Trajectory.load(tmp_path / f"{name}.npz")
 
 

@@ -1,1 +1,1 @@
-"""Questions about a model at a point, over a period, or along a trajectory."""
+"""Analyses of a model at a point, over a period, or along a trajectory."""

@@ -15,31 +15,41 @@ from ..model.signals import Inputs
 from ..model.values import Params, Point, Start, as_model, locate
 from .tangent import Chart, chart_of, left_inverse
 
-_SETTLED = 1e-12  # last step, relative to 1 + |value|
-_GOOD = 1e-8  # last step, or scaled residual, where rounding ends the search
-_LARGEST_TURN = 0.5  # rad in one step
+# Newton's method has converged when its last step, relative to 1 + |value|, is below _SETTLED; or
+# below _GOOD if rounding allows no better.
+_SETTLED = 1e-12
+_GOOD = 1e-8
+# Largest rotation of a body in one step, rad.
+_LARGEST_TURN = 0.5
 _HALVINGS = 8
-_FIRST, _SHORTEST, _LONGEST = 1e-3, 1e-12, 1e6  # s, of a step of relaxation
-_PATIENCE = 4  # steps of relaxation for each allowed of Newton's method
+# First, shortest and longest step of relaxation, s.
+_FIRST, _SHORTEST, _LONGEST = 1e-3, 1e-12, 1e6
+# Steps of relaxation allowed for each allowed Newton step.
+_PATIENCE = 4
 
 
 class Rest(Enum):
-    """How a search for rest ended; the value is the message."""
+    """How a search for an equilibrium ended; the value of a member is its message."""
 
     found = "found"
-    unbalanced = "nothing balances what acts, near the start"
+    unbalanced = "the loads cannot be balanced near the start"
     no_progress = "the search made no progress"
     too_many_iterations = "too many iterations"
     not_finite = "a value is not finite"
 
     @property
     def ok(self) -> bool:
-        """Whether the state is a rest."""
+        """Whether an equilibrium was found."""
         return self is Rest.found
 
 
 class EquilibriumError(RuntimeError):
-    """A search for rest that failed; `equilibrium` holds how far it came."""
+    """Raised by `static_equilibrium` when it finds no equilibrium.
+
+    The message is the report of the search: the outcome, the largest residual with its unit, and
+    what to change. `error.equilibrium` holds the last state that was reached, with the same report;
+    `static_equilibrium(..., throw=False)` returns it instead of raising.
+    """
 
     def __init__(self, equilibrium: Equilibrium) -> None:
         super().__init__(equilibrium.report)
@@ -51,16 +61,19 @@ class EquilibriumError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """A rest of a model, or how far the search for it came.
+    """A static equilibrium of a model, or the last state that the search for it reached.
 
     Fields:
-        point: t, x, z, u, p; `linearize(model, equilibrium)` tells whether it is stable.
-        x, z: values of states and unknowns by name, as `simulate(start=...)` takes them.
-        outcome, report: how the search ended, and the full sentence.
-        residual: largest rate, or algebraic residual, that is left, in SI units of its row.
-        iterations: of Newton's method.
-        free: directions that nothing decides, by the names that move; the state stays along them
-            as close to the start as it can.
+        name: of the model.
+        point: t, x, z, u, p; `linearize(model, equilibrium)` shows whether it is stable.
+        x, z: values of states and algebraic unknowns by name, as `simulate(start=...)` takes them.
+        outcome, report: how the search ended, and a sentence with the residual and advice.
+        residual: largest rate, or algebraic residual, that is left, in the SI unit of its row.
+        iterations: number of steps, of Newton's method and of relaxation.
+        free: directions that the equations do not determine, each by the names of the coordinates
+            that move along it; the state stays as close to the start as possible along them.
+
+    >>> run = simulate(model, 2.0, start=static_equilibrium(model))  # doctest: +SKIP
     """
 
     name: str
@@ -75,7 +88,7 @@ class Equilibrium:
 
     @property
     def state(self) -> dict[str, float]:
-        """States and unknowns by name."""
+        """States and algebraic unknowns by name, for `simulate(start=...)`."""
         return self.x | self.z
 
     def __str__(self) -> str:
@@ -95,26 +108,34 @@ def static_equilibrium(
     iterations: int = 100,
     throw: bool = True,
 ) -> Equilibrium:
-    """The state at rest near a start: velocities are zero, and nothing accelerates.
+    """Find a state near a start in which velocities are zero and nothing accelerates.
 
-    Newton's method with exact Jacobians, by steps in tangent coordinates, so that quaternions keep
-    their norm. Steps are shortened where they would lead away [Deuflhard 2011, sec. 3.3], and none
-    turns a body by more than 0.5 rad. Where this gets stuck, the motion from the start is followed
-    by implicit Euler steps, whose length grows until it has come to rest [Kelley, Keyes 1998].
-    Among the steps that free directions leave open it takes the smallest. Which of several
-    equilibria it finds depends on the start, and it may be unstable: `linearize` tells.
+    Solves 0 = ode(t, x, z, u, p), 0 = alg by Newton's method with exact Jacobians. Steps are taken
+    in tangent coordinates, so that quaternions keep their norm. A step that does not come nearer to
+    the solution is shortened [Deuflhard 2011, sec. 3.3], and none rotates a body by more than 0.5
+    rad. Where Newton's method fails, implicit Euler steps of growing length follow the motion from
+    the start until it has come to rest [Kelley, Keyes 1998]. Along directions that the equations
+    do not determine, each step is the smallest possible.
+
+    Which of several equilibria is found depends on the start, and it may be unstable: check it with
+    `linearize`.
 
     Arguments:
-        inputs, params: by name; the others keep their default.
-        start: states near which to look, as for `simulate`; velocities count as zero. Data states
+        inputs, params: values by name; the others keep their default. An input that varies in time
+            is taken at t.
+        start: states near which to search, as for `simulate`; velocities count as zero. Data states
             keep their values.
-        t: s, for scenes that depend on time.
-        iterations: at most.
-        throw: raise a failure; otherwise it is data in `equilibrium.outcome`.
+        t: time in s, for scenes that depend on time.
+        iterations: Newton steps, at most.
+        throw: raise an error on failure; otherwise the failure is data in `equilibrium.outcome`.
 
     Raises:
-        ValueError: unknown names, values that are no finite numbers.
-        EquilibriumError: no rest was found.
+        TypeError: `model` is not a model.
+        ValueError: unknown names, values that are not finite numbers.
+        EquilibriumError: no equilibrium was found.
+
+    >>> rest = static_equilibrium(model, params={"k": 3e4})    # doctest: +SKIP
+    >>> rest.x["arm.p_z"], linearize(model, rest).stable       # doctest: +SKIP
     """
     as_model(model, "static_equilibrium")
     point = locate(model, inputs=inputs, params=params, start=start, t=t)
@@ -127,11 +148,11 @@ def static_equilibrium(
 
 
 def _stopped(model: Model, point: Point) -> Point:
-    """The point with all velocities zero, those of massless bodies among the unknowns, too."""
+    """Return the point with all velocities zero, also those among the algebraic unknowns."""
     dae, x, z = model.dae, point.x.copy(), point.z.copy()
-    way = dae.expansion
+    expansion = dae.expansion
     names = {
-        (way.labels if way else dae.x_labels)[row].name
+        (expansion.labels if expansion else dae.x_labels)[row].name
         for motion in dae.motions
         for row in motion.velocities
     }
@@ -141,7 +162,7 @@ def _stopped(model: Model, point: Point) -> Point:
 
 
 class _Linear(NamedTuple):
-    """Residual (tangent rates, algebraic) at a point, and its slope by (tangent step, z)."""
+    """Residual [tangent rates; alg] at a point, and its derivative by [tangent step; z]."""
 
     point: Point
     residual: np.ndarray
@@ -149,7 +170,7 @@ class _Linear(NamedTuple):
 
 
 class _Problem:
-    """Rates in tangent coordinates and algebraic residuals, which must vanish."""
+    """The equations of an equilibrium, [tangent rates; alg] = 0, and the search for a solution."""
 
     def __init__(self, model: Model, point: Point) -> None:
         self.model, self.point, self.chart = model, point, chart_of(model)
@@ -158,11 +179,16 @@ class _Problem:
         self._names, self._turns = names, _turns(self.chart)
 
     def search(self, most: int) -> tuple[Rest, int]:
-        """Newton's method from the point; where it fails, relaxation and again Newton's method."""
+        """Search by Newton's method; where it fails, relax from the start and try again.
+
+        Returns:
+            The outcome, and the number of all steps.
+        """
         start = self.point
         outcome, count = self._newton(most)
         if outcome in (Rest.found, Rest.unbalanced):
             return outcome, count
+        # Newton's method may have moved far from the start; relaxation begins there again.
         stuck, self.point = (outcome, self.point), start
         relaxed = self._relax(_PATIENCE * most)
         outcome, again = self._newton(most)
@@ -180,6 +206,8 @@ class _Problem:
             self.free = named_directions(here.slope.null, self._names)
             if size <= _GOOD and (after is None or size <= _SETTLED):
                 self.point = after or self.point
+                # The least-squares step of a singular system is also small where loads act along a
+                # free direction, which nothing can balance: only the residual shows that.
                 left = np.abs(here.slope.scaled(self._residual(self.point))).max(initial=0.0)
                 return (Rest.found if left <= _GOOD else Rest.unbalanced), count
             if after is None:
@@ -188,11 +216,10 @@ class _Problem:
         return Rest.too_many_iterations, most
 
     def _nearer(self, here: _Linear, step: np.ndarray) -> Point | None:
-        """Where a part of Newton's step leads that gets nearer to rest.
-
-        Nearer by the next step of the same slope [Deuflhard 2011, sec. 3.3], in which stiff and
-        soft directions count alike.
-        """
+        """Return the point after the longest part of Newton's step that comes nearer to rest."""
+        # The natural monotonicity test [Deuflhard 2011, sec. 3.3]: the next step with the same
+        # Jacobian must be shorter. In its length stiff and soft directions count alike, whereas the
+        # norm of the residual would be that of the stiff ones alone.
         size = float(np.linalg.norm(step))
         for factor in self._factors(step):
             trial = self._moved(factor * step)
@@ -202,13 +229,19 @@ class _Problem:
         return None
 
     def _relax(self, most: int) -> int:
-        """Motion that is damped as far as it can be: implicit Euler steps, longer and longer."""
+        """Follow the motion by implicit Euler steps of growing length; return their number.
+
+        Implicit Euler damps every oscillation that is fast against the step, so that long steps
+        come to rest at a stable equilibrium (pseudo-transient continuation).
+        """
         rates = np.arange(self.chart.size + self.model.n_z) < self.chart.size
         h = _FIRST
         for count in range(most):
             here = self._at(self.point)
             if not (np.isfinite(here.residual).all() and here.slope.finite):
                 return count
+            # One Newton step of (q1 - q0) / h = rates(q1), 0 = alg, and the remainder `missed` of a
+            # second one as a measure of its error.
             M = np.diag(rates / h) - here.slope.J
             try:
                 step = np.linalg.solve(M, here.residual)
@@ -230,7 +263,7 @@ class _Problem:
         return most
 
     def _factors(self, step: np.ndarray) -> list[float]:
-        """Parts of a step to try; the longest turns nothing by more than is allowed."""
+        """Return fractions of a step to try; the largest keeps rotations within the limit."""
         turn = float(np.abs(step[self._turns]).max(initial=0.0))
         longest = min(1.0, _LARGEST_TURN / turn) if turn else 1.0
         return [longest / 2.0**k for k in range(_HALVINGS)] if np.isfinite(turn) else []
@@ -268,7 +301,7 @@ class _Problem:
         return _Linear(point, self._residual(point), Slope(J))
 
     def result(self, outcome: Rest, count: int) -> Equilibrium:
-        """What came of it."""
+        """Build the `Equilibrium` at the last point, with its report."""
         point, dae = self.point, self.model.dae
         ode, alg = self._rates(point)
         rows = np.concatenate([ode, alg])
@@ -276,9 +309,11 @@ class _Problem:
         labels += [f"the balance of {label.name} is off by" for label in dae.z_labels]
         size = np.where(np.isfinite(rows), np.abs(rows), np.inf)
         residual = float(size.max(initial=0.0))
-        report = f"rest {outcome.value} in {count} iterations, largest residual {residual:.3g}"
+        report = (
+            f"equilibrium {outcome.value} in {count} iterations, largest residual {residual:.3g}"
+        )
         if self.free:
-            report += f"; nothing decides {', '.join(self.free)}"
+            report += f"; the equations do not determine {', '.join(self.free)}"
         if not outcome.ok:
             worst = int(size.argmax()) if len(rows) else 0
             units = [f"{label.unit} per s" for label in dae.x_labels] + [""] * len(dae.z_labels)
@@ -295,14 +330,14 @@ class _Problem:
 
     def _advice(self, outcome: Rest) -> str:
         if outcome is Rest.unbalanced and self.free:
-            return f"nothing holds {', '.join(self.free)}: hold it by stiffness, or remove the load"
+            return f"nothing holds {', '.join(self.free)}: add stiffness there, or remove the load"
         if outcome is Rest.not_finite:
             return "check parameters and start values"
         return "give a start nearer to rest, or simulate with more damping until it comes to rest"
 
 
 def _turns(chart: Chart) -> list[int]:
-    """Tangent coordinates that are angles."""
+    """Return the indices of the tangent coordinates that are angles."""
     return [i for i, label in enumerate(chart.labels) if label.unit == "rad"]
 
 

@@ -1,8 +1,8 @@
-"""Stability of periodic motion: multipliers of disturbances over one period.
+"""Stability of periodic motion: Floquet multipliers of disturbances over one period.
 
-The motion is integrated once; disturbances follow the linear equations along it, q' = A(t) q in
-tangent coordinates, by exponentials of Magnus' series, which are exact where A rests, however
-stiff it is.
+The motion is integrated over one period. Disturbances of it follow the linear equations q' = A(t) q
+in tangent coordinates, which are integrated by exponentials of Magnus' series: these are exact for
+constant A, however stiff.
 """
 
 from __future__ import annotations
@@ -23,28 +23,47 @@ from ..pipeline import IntegrationError, Integrator, as_integrator
 from .linearize import balanced, left_out_tangent
 from .tangent import Chart, chart_of, left_inverse
 
-NODES = 0.5 + np.array([-1, 0, 1]) * np.sqrt(15) / 10  # of Gauss, in an interval
-_FEWEST, _MOST = 16, 8192  # intervals in a period
-_TERMS = 18  # of the exponential's series, after scaling to less than 1
-_ROUNDING = 1e-10  # of the monodromy matrix: rounding and the motion's own error
-_RETURNED = 1e-7  # of 1 + |state|: a motion that comes back so close is periodic
-_DRIVEN = 1e-6  # of 1 + the largest rate: rounding of a drive after a period
-_SHOTS = 10  # of Newton's method, to find a periodic motion
-_FREE = 1e-8  # of the largest singular value: directions in which every motion is periodic
+# The three Gauss nodes of an interval [0, 1].
+NODES = 0.5 + np.array([-1, 0, 1]) * np.sqrt(15) / 10
+# Intervals of a period, at least and at most.
+_FEWEST, _MOST = 16, 8192
+# Terms of the exponential's Taylor polynomial, after scaling to a norm below 1.
+_TERMS = 18
+# Relative error of the monodromy matrix: rounding, and the error of the motion itself.
+_ROUNDING = 1e-10
+# A motion that returns this close to its start, relative to 1 + |state|, is periodic.
+_RETURNED = 1e-7
+# Rates that differ after a period by less, relative to 1 + the largest, are those of a drive with
+# this period: the rest is rounding.
+_DRIVEN = 1e-6
+# Newton iterations to find a periodic motion.
+_SHOTS = 10
+# Singular values below this fraction of the largest belong to directions in which every motion is
+# periodic, such as a shift of a free body.
+_FREE = 1e-8
 
 
 class NotPeriodic(RuntimeError):
-    """No periodic motion was found near the start."""
+    """Raised by `floquet` when it finds no motion of the given period near the start.
+
+    Also raised when the model's rates do not have this period (its drive has another one), and
+    when the multipliers cannot be resolved to the accuracy that was asked for. The message says
+    which of these it is and what to change: a start nearer to the periodic motion, the period of
+    the drive, or less accuracy.
+    """
 
 
 class Multipliers(NamedTuple):
-    """Eigenvalues (k,) of a monodromy matrix, and how far errors may have moved each (k,)."""
+    """Eigenvalues (k,) of a monodromy matrix, and a bound (k,) on the error of each."""
 
     values: np.ndarray
     errors: np.ndarray
 
     def exponents(self, period: float) -> np.ndarray:
-        """Growth rates log|m| / period, 1/s; a modulus within its error of 1 counts as 0."""
+        """Return the growth rates log|m| / period (k,), 1/s.
+
+        A modulus that differs from 1 by no more than its error counts as neutral: rate 0.
+        """
         size = np.abs(self.values)
         rates = np.log(np.maximum(size, 1e-300)) / period
         return np.where(np.abs(size - 1) <= self.errors, 0.0, rates)
@@ -52,14 +71,22 @@ class Multipliers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Floquet:
-    """Stability of a periodic motion.
+    """Stability of a periodic motion, as found by `floquet`.
+
+    A disturbance of the periodic motion is multiplied by the monodromy matrix in each period. The
+    eigenvalues of this matrix are the multipliers m, and log|m| / period are growth rates. The
+    motion is stable if no multiplier has a modulus above 1 by more than its error.
 
     Fields:
         period: s.
-        kept, left_out: multipliers of the model's own motion, and of what a minimal model left out.
+        kept: multipliers of the states of the model.
+        left_out: multipliers of the states that a minimal model left out; empty for a full one.
         start: the state at which the periodic motion starts, by name.
-        miss: how far it is from its start after a period, relative to 1 + |state|.
-        intervals: of the period.
+        miss: distance of the motion from its start after a period, relative to 1 + |state|.
+        intervals: number of intervals into which the period was divided.
+
+    >>> found = floquet(model, 0.2)             # doctest: +SKIP
+    >>> found.stable, found.multiplier          # doctest: +SKIP
     """
 
     period: float
@@ -80,7 +107,7 @@ class Floquet:
 
     @property
     def abscissa(self) -> float:
-        """Largest growth rate, 1/s."""
+        """Largest growth rate of all multipliers, 1/s; more than 0 is unstable."""
         rates = [part.exponents(self.period) for part in (self.kept, self.left_out)]
         return float(np.concatenate(rates).max(initial=-np.inf))
 
@@ -101,36 +128,48 @@ def floquet(
     t: float = 0.0,
     accuracy: float = 1e-6,
 ) -> Floquet:
-    """Multipliers of the periodic motion near a start.
+    """Find a periodic motion near a start, and compute its Floquet multipliers.
+
+    Newton's method (shooting) finds the state from which the motion returns to itself after a
+    period; rotations by whole turns count as a return. The multipliers are the eigenvalues of the
+    monodromy matrix of q' = A(t) q along this motion, in tangent coordinates q, without the norms
+    of quaternions. Motions that a minimal model left out have their own multipliers.
 
     Arguments:
-        period: s.
-        integrator: of the motion, `Idas(rtol=1e-10, atol=1e-12)` by default.
+        period: s; for a driven model that of its drive.
+        integrator: for the motion, `Idas(rtol=1e-10, atol=1e-12)` by default.
         inputs, params: as for `simulate`.
-        start: states near which the motion passes; Newton's method finds the point from which it
-            comes back. Turns by 2 pi count as coming back.
+        start: states near the periodic motion, as for `simulate`.
         t: time of the start, s.
-        accuracy: of the monodromy matrix; the intervals are halved until two orders of Magnus'
-            series differ by less, relative to its norm.
+        accuracy: of the monodromy matrix, relative to its norm; the intervals are halved until
+            Magnus' series of orders 4 and 6 agree to it.
 
     Raises:
+        TypeError: `model` is not a model, or `integrator` is a class or a name.
         ValueError: a period that is not positive, unknown names, a model with events.
-        NotPeriodic: no periodic motion near the start, or a drive of another period.
+        NotPeriodic: no periodic motion near the start, a drive of another period, or multipliers
+            that 8192 intervals do not resolve.
         IntegrationError: the motion could not be integrated.
+
+    >>> drive = {"base": lambda t: np.cos(30 * t)}               # doctest: +SKIP
+    >>> floquet(model, 2 * np.pi / 30, inputs=drive).stable      # doctest: +SKIP
     """
     as_model(model, "floquet")
     where = f"floquet of '{model.name}'"
     if not (np.isfinite(period) and period > 0):
-        raise ValueError(f"{where}: period {period} s; it is positive and finite")
+        raise ValueError(f"{where}: period {period} s; give a positive, finite period")
     if model.events or model.dae.updates:
-        raise ValueError(f"{where}: the model has events; give its effects smoothing")
+        raise ValueError(
+            f"{where}: the model has events, and multipliers across jumps are not computed; give "
+            "its effects smoothing"
+        )
     point = locate(model, params=params, start=start, t=t)
     method = as_integrator(integrator or Idas(rtol=1e-10, atol=1e-12), "floquet")
     return _Orbit(model, period, inputs or {}, params or {}, method, accuracy).find(point)
 
 
 class _Orbit:
-    """Motions over one period, and their linear equations."""
+    """The search for a periodic motion, and the linear equations along it."""
 
     def __init__(
         self,
@@ -146,7 +185,7 @@ class _Orbit:
         self.intervals = _FEWEST
 
     def find(self, point: Point) -> Floquet:
-        """The periodic motion, and its multipliers."""
+        """Find the periodic motion near a point, and its multipliers."""
         self.point, labels = point, self.chart.labels
         self._check_drive()
         for _ in range(_SHOTS):
@@ -156,6 +195,9 @@ class _Orbit:
             found = self._resolved(motion, self._kept)
             if miss.max(initial=0.0) <= _RETURNED:
                 break
+            # Newton's method for end(q) - q = 0, whose derivative is the monodromy matrix minus
+            # one. It is singular in directions in which every motion is periodic: the least-squares
+            # solution does not move the start along them.
             step = np.linalg.lstsq(found[0] - np.eye(len(missed)), -missed, rcond=_FREE)[0]
             here = self.point
             x = np.array(self.chart.retract(here.x, here.z, here.p, step)).reshape(-1)
@@ -182,7 +224,11 @@ class _Orbit:
         )
 
     def _check_drive(self) -> None:
-        """What drives the motion must have the period: the rates of one state tell."""
+        """Check, by the rates of one state, that the drive of the model has the period.
+
+        Raises:
+            NotPeriodic: the rates at this state differ after a period.
+        """
         ends, point = [], self.point
         for t in (point.t, point.t + self.period):
             u = locate(self.model, point, inputs=self.inputs, t=t).u
@@ -195,7 +241,7 @@ class _Orbit:
             )
 
     def _motion(self) -> Trajectory:
-        """From the start over one period, saved at the nodes of all intervals."""
+        """Integrate from the start over one period, with the nodes of all intervals saved."""
         model, point, h = self.model, self.point, self.period / self.intervals
         nodes = (np.arange(self.intervals)[:, None] + NODES).reshape(-1) * h
         times = point.t + np.concatenate([[0.0], nodes, [self.period]])
@@ -207,46 +253,52 @@ class _Orbit:
         return motion
 
     def _sizes(self) -> np.ndarray:
-        """Sizes of the states behind the tangent coordinates, 0 for turns."""
+        """Return the absolute values of the states behind the tangent coordinates, 0 for angles."""
         plain = np.abs(self.point.x[self.chart.plain])
         return np.concatenate([plain, np.zeros(self.chart.size - len(plain))])
 
     def _missed(self, motion: Trajectory) -> np.ndarray:
-        """From the start to the end of a motion, in tangent coordinates."""
+        """Return the distance from the start to the end of a motion, in tangent coordinates."""
         model, point = self.model, self.point
         end = np.array([motion[label.name][-1] for label in model.x_labels])
         T = np.array(self.chart.basis(point.x, point.z, point.p))
+        # q and -q are the same rotation; after an odd number of turns the motion ends at the other.
         for _, live, _ in self.chart.turned:
             rows = [row for _, row in live]
             if end[rows] @ point.x[rows] < 0:
                 end[rows] = -end[rows]
-        way = left_inverse(T) @ (end - point.x) if T.size else np.zeros(0)
-        turns = [i for i, label in enumerate(self.chart.labels) if label.unit == "rad"]
-        way[turns] -= 2 * np.pi * np.round(way[turns] / (2 * np.pi))
-        return way
+        distance = left_inverse(T) @ (end - point.x) if T.size else np.zeros(0)
+        angles = [i for i, label in enumerate(self.chart.labels) if label.unit == "rad"]
+        distance[angles] -= 2 * np.pi * np.round(distance[angles] / (2 * np.pi))
+        return distance
 
     def _resolved(
         self, motion: Trajectory, blocks: Callable[[Trajectory], np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Monodromy of the equations along a motion, in as many intervals as it takes."""
+        """Compute a monodromy matrix and its error, in as many intervals as its accuracy needs.
+
+        Arguments:
+            blocks: motion -> A (m, n, n) of q' = A q at its saved times.
+        """
         while True:
             A = blocks(motion)[1:-1]
             found = monodromy(A, self.period)
             if np.isfinite(found).all() and self._accurate(*found):
                 return found
-            # The series converges where an interval is short against the fastest motion.
+            # Magnus' series converges where an interval is short against the fastest motion. So the
+            # norm of A gives the number of intervals, rather than many halvings.
             fast = float(np.abs(balanced(np.abs(A).mean(axis=0))[0]).sum(axis=1).max())
             wanted = 2.0 ** np.floor(np.log2(max(fast * self.period / 2, 1.0)))
             self.intervals = int(max(2 * self.intervals, min(wanted, _MOST)))
             if self.intervals > _MOST:
                 raise NotPeriodic(
                     f"model '{self.model.name}': {_MOST} intervals of a period do not resolve its "
-                    f"multipliers to {self.accuracy:g}; allow less accuracy"
+                    f"multipliers to {self.accuracy:g}; give a larger number for accuracy"
                 )
             motion = self._motion()
 
     def _accurate(self, M: np.ndarray, error: np.ndarray) -> bool:
-        """Whether the error is small in the units in which M is fair."""
+        """Return whether the error is small, in coordinates scaled so that M is balanced."""
         if not len(M):
             return True
         scaled, scale = balanced(M)
@@ -257,12 +309,16 @@ class _Orbit:
         return tangent_blocks(self.model, self.chart, motion)
 
     def _left_out(self, motion: Trajectory) -> np.ndarray:
-        """Transverse Jacobians in tangent coordinates at each saved point."""
+        """Return the transverse Jacobians in tangent coordinates at each saved point.
+
+        Raises:
+            ValueError: motions without inertia were left out; they have no rates.
+        """
         reduction = self.model.reduction
         if reduction is None or not all(reduction.inertial):
             raise ValueError(
                 f"floquet of '{self.model.name}': motions without inertia were left out of the "
-                "minimal model; compile_scene(minimal=False)"
+                "minimal model, and they have no rates; use compile_scene(minimal=False)"
             )
         T, every = left_out_tangent(self.model)[0], _arguments(self.model, motion)
         flat = np.array(ca.DM(reduction.transverse(*every)).full())
@@ -270,7 +326,7 @@ class _Orbit:
 
 
 def _arguments(model: Model, motion: Trajectory) -> list[np.ndarray]:
-    """Columns t, x, z, u and all parameters, one a point."""
+    """Return t, x, z, u and all parameters along a motion, one column for each point."""
     dae, m = model.dae, len(motion.t)
     groups = (dae.x_labels, dae.z_labels, dae.u_labels, dae.parameters.labels)
     columns = [np.array([motion[label.name] for label in g]).reshape(len(g), m) for g in groups]
@@ -278,12 +334,21 @@ def _arguments(model: Model, motion: Trajectory) -> list[np.ndarray]:
 
 
 def _split(flat: np.ndarray, m: int) -> np.ndarray:
-    """Matrices side by side as an array (m, rows, columns)."""
+    """Split m matrices side by side, as a mapped Function returns them, into (m, rows, columns)."""
     return flat.reshape(len(flat), m, -1).transpose(1, 0, 2)
 
 
 def tangent_blocks(model: Model, chart: Chart, motion: Trajectory) -> np.ndarray:
-    """A (m, n, n) of q' = A q in tangent coordinates at each saved point of a motion."""
+    """Return A (m, n, n) of q' = A q in tangent coordinates at each saved point of a motion.
+
+    q is a small disturbance, dx = T q. From dx' = (df/dx) dx follows A = T^+ ((df/dx) T - T'),
+    where T^+ is the left inverse, and T' the rate of the basis along the motion. Algebraic unknowns
+    are eliminated.
+
+    Arguments:
+        chart: the tangent coordinates of the model, `chart_of(model)`.
+        motion: a trajectory of the model, saved at m times.
+    """
     t, x, z, u, every = _arguments(model, motion)
     p, m = every[: model.n_p], len(motion.t)
 
@@ -304,19 +369,25 @@ def tangent_blocks(model: Model, chart: Chart, motion: Trajectory) -> np.ndarray
 
 
 def monodromy(blocks: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Solution of q' = A(t) q over a period from unit starts, and its error.
+    """Solve q' = A(t) q over a period from unit starts, and estimate the error.
 
-    By Magnus' series of order 6 [Blanes, Casas, Oteo, Ros 2009, eq. 255]; the error is what that of
-    order 4 at the same nodes differs by.
+    By Magnus' series of order 6 [Blanes, Casas, Oteo, Ros 2009, eq. 255]: over each interval the
+    solution is exp(Omega), and the product of all exponentials is the monodromy matrix. The error
+    is the difference from the series of order 4 at the same nodes.
 
     Arguments:
-        blocks: A (3 k, n, n) at three Gauss nodes in each of k equal intervals.
+        blocks: A (3 k, n, n) at the three Gauss nodes `NODES` in each of k equal intervals, 1/s.
+        period: s.
+
+    Returns:
+        The monodromy matrix (n, n) and its error (n, n); entries are not finite where it overflows.
     """
     n = blocks.shape[1]
     if not n:
         return np.zeros((0, 0)), np.zeros((0, 0))
     _, scale = balanced(np.abs(blocks).mean(axis=0))
     h = 3 * period / len(blocks)
+    # In balanced coordinates the exponentials lose no digits to units; `back` undoes the scaling.
     first, middle, last = (h * blocks[i::3] * (scale / scale[:, None]) for i in range(3))
     a1, a2, a3 = middle, np.sqrt(15) / 3 * (last - first), 10 / 3 * (last - 2 * middle + first)
     c1 = _commuted(a1, a2)
@@ -333,7 +404,8 @@ def _commuted(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _product(factors: np.ndarray) -> np.ndarray:
-    """The last factor times ... times the first."""
+    """Return the product of matrices (k, n, n), the last factor on the left."""
+    # Neighbours are multiplied pairwise, in log2(k) vectorised rounds.
     while len(factors) > 1:
         if len(factors) % 2:
             factors = np.concatenate([factors[:-2], (factors[-1] @ factors[-2])[None]])
@@ -343,7 +415,7 @@ def _product(factors: np.ndarray) -> np.ndarray:
 
 
 def _exponentials(A: np.ndarray) -> np.ndarray:
-    """Exponential of each of many matrices, by scaling, a Taylor polynomial, and squaring."""
+    """Return the exponential of each matrix (k, n, n), by scaling, Taylor series and squaring."""
     largest = float(np.abs(A).sum(axis=-1).max(initial=0.0))
     halvings = max(0, int(np.ceil(np.log2(max(largest, 1e-300))))) if np.isfinite(largest) else 0
     A = A / 2.0**halvings
@@ -358,13 +430,15 @@ def _exponentials(A: np.ndarray) -> np.ndarray:
 
 
 def _eigenvalues(M: np.ndarray, error: np.ndarray) -> Multipliers:
-    """Multipliers, and errors: what the error of the matrix moves each by, and rounding."""
+    """Return the eigenvalues of M, by falling modulus, and a bound on the error of each."""
     if not len(M):
         return Multipliers(np.zeros(0, complex), np.zeros(0))
     scaled, scale = balanced(M)
     values, right = np.linalg.eig(scaled)
     left = np.linalg.pinv(right)
     condition = np.linalg.norm(right, axis=0) * np.linalg.norm(left, axis=1)
+    # First-order perturbation: an error E of M moves eigenvalue i by left_i E right_i. Rounding may
+    # be in any direction, so it counts with the condition |left_i| |right_i|.
     moved = np.abs(((left / scale) @ error * (right.T * scale)).sum(axis=1))
     total = moved + _ROUNDING * condition * np.linalg.norm(scaled)
     order = np.argsort(-np.abs(values), kind="stable")

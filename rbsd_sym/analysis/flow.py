@@ -1,4 +1,4 @@
-"""An integration by CasADi and its derivatives."""
+"""The flow of a model, an integration by CasADi, and its derivatives."""
 
 from __future__ import annotations
 
@@ -15,16 +15,28 @@ from ..model.trajectory import Outcome, Trajectory
 from ..model.values import Experiment
 from ..pipeline import IntegrationError
 from .flow_options import PLUGINS
-from .wrt import Measure, Way
+from .wrt import Directions, Measure
 
 
 class Flow:
-    """An integration and its derivatives."""
+    """The flow (start states, parameters) -> states at the output times, and its derivatives.
+
+    Arguments:
+        e: the experiment to integrate.
+        method: an integrator with an entry in `PLUGINS`.
+        directions: what derivatives are by.
+        trajectory: the integrated experiment; derivatives are taken along it.
+    """
 
     def __init__(
-        self, model: Model, e: Experiment, method: Any, way: Way, trajectory: Trajectory
+        self,
+        model: Model,
+        e: Experiment,
+        method: Any,
+        directions: Directions,
+        trajectory: Trajectory,
     ) -> None:
-        self.model, self.e, self.way, self.trajectory = model, e, way, trajectory
+        self.model, self.e, self.directions, self.trajectory = model, e, directions, trajectory
         self.x = np.array([trajectory[label.name] for label in model.x_labels])
         z = [trajectory[label.name] for label in model.dae.z_labels]
         self.z = np.array(z).reshape(model.n_z, len(e.t))
@@ -33,10 +45,13 @@ class Flow:
         constant = [float(s) for s in e.inputs if is_constant(s)]  # type: ignore[arg-type]
         self._q = np.concatenate([e.p, constant])
         chosen = [i for i, s in enumerate(e.inputs) if is_constant(s)]
-        self._way_q = np.vstack([way.p, way.u[chosen]])
+        self._seeds_q = np.vstack([directions.p, directions.u[chosen]])
 
     def _built(self, method: Any) -> ca.Function:
-        """(start x, parameters) -> x at the output times after the start, a column each."""
+        """Build the Function (start x, q) -> x at the output times after the start, a column each.
+
+        q are the parameters, then the constant inputs.
+        """
         model, e = self.model, self.e
         plugin, options = PLUGINS[type(method)](method, model, e)
         kept: list[Any] = []
@@ -49,10 +64,10 @@ class Flow:
         return ca.Function("flow", [x0, q], [flow], ["x0", "q"], ["xf"])
 
     def _called(self, function: ca.Function, *arguments: Any) -> list[np.ndarray]:
-        """Results of a derivative of the flow.
+        """Evaluate a derivative of the flow.
 
         Raises:
-            IntegrationError: it failed, or is not finite.
+            IntegrationError: the integration failed, or a result is not finite.
         """
         try:
             found = function(*arguments)
@@ -66,18 +81,27 @@ class Flow:
 
     def _failed(self, why: str) -> IntegrationError:
         outcome = Outcome.solver_failed
-        report = f"{outcome.value} on the way to derivatives ({why}); take shorter or tighter steps"
+        report = (
+            f"{outcome.value} while integrating derivatives ({why}); give a shorter step or "
+            "tighter tolerances"
+        )
         return IntegrationError(replace(self.trajectory, outcome=outcome, report=report))
 
     def forward(self, measures: list[Measure]) -> dict[str, np.ndarray]:
-        """Derivatives (n, ..., n_wrt) at every output time."""
-        n, size, scale = len(self.e.t), len(self.way.labels), self.way.scale
-        seeds = self.way.x * scale, self._way_q * scale
+        """Return derivatives (n, ..., n_wrt) at every output time, by forward sensitivities.
+
+        Arguments:
+            measures: outputs and states to differentiate.
+        """
+        # Seeds are scaled to the size of each parameter, since integrators apply the tolerances of
+        # the states to the sensitivities, too.
+        n, size, scale = len(self.e.t), len(self.directions.labels), self.directions.scale
+        seeds = self.directions.x * scale, self._seeds_q * scale
         nominal = self._flow(self.e.x, self._q)
         (found,) = self._called(self._flow.forward(size), self.e.x, self._q, nominal, *seeds)
         # Columns are the times of the first direction, then those of the second, ...
         moved = found.reshape(self.model.n_x, size, n - 1).transpose(2, 0, 1) / scale
-        dx = np.concatenate([self.way.x[None], moved])
+        dx = np.concatenate([self.directions.x[None], moved])
         results: dict[str, np.ndarray] = {m.name: [] for m in measures}  # type: ignore[misc]
         for k in range(n):
             dz = -self._unknowns(k, dx[k])
@@ -88,13 +112,18 @@ class Flow:
         return {name: np.array(values) for name, values in results.items()}
 
     def adjoint(self, measures: list[Measure]) -> dict[str, np.ndarray]:
-        """Derivatives (..., n_wrt) at the end."""
+        """Return derivatives (..., n_wrt) at the end, by adjoint sensitivities.
+
+        Arguments:
+            measures: outputs and states to differentiate; the cost grows with their entries.
+        """
         n, last = len(self.e.t), len(self.e.t) - 1
         slopes = [self._slopes(m, last) for m in measures]
         g = self._unknown_slopes(last)
         rows = [by_x - by_z @ g[0] for by_x, by_z, _ in slopes]
         rests = [rest - by_z @ g[1] for _, by_z, rest in slopes]
         weights, rest = np.vstack(rows), np.vstack(rests)
+        # Seeds of size 1, for the reason given in `forward`.
         scale = np.abs(weights).max(axis=1)
         scale[scale == 0] = 1.0
         count = len(weights)
@@ -104,7 +133,7 @@ class Flow:
         by_start, by_q = self._called(
             self._flow.reverse(count), self.e.x, self._q, nominal, seeds.reshape(self.model.n_x, -1)
         )
-        total = (by_start.T @ self.way.x + by_q.T @ self._way_q) * scale[:, None] + rest
+        total = (by_start.T @ self.directions.x + by_q.T @ self._seeds_q) * scale[:, None] + rest
         results, first = {}, 0
         for m, row in zip(measures, rows, strict=True):
             results[m.name] = total[first : first + len(row)].reshape(*m.shape, -1)
@@ -115,22 +144,30 @@ class Flow:
         return self.e.t[k], self.x[:, k], self.z[:, k], self.u[:, k]
 
     def _slopes(self, m: Measure, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of a measure by x, by z, and along wrt by what is no state."""
+        """Return derivatives of a measure at time k: by x, by z, and the rest.
+
+        The rest are its explicit derivatives along the directions, by parameters and inputs.
+        """
         p = np.concatenate([self.e.p, self.e.idle])
         by_x, by_z, by_u, by_p = (np.array(v) for v in m.slopes(*self._at(k), p))
-        rest = by_u @ self.way.u + by_p @ np.vstack([self.way.p, self.way.idle])
+        seeds_p = np.vstack([self.directions.p, self.directions.idle])
+        rest = by_u @ self.directions.u + by_p @ seeds_p
         return by_x, by_z.reshape(len(by_x), self.model.n_z), rest
 
     def _unknown_slopes(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Minus the derivatives of z by x, and along wrt by parameters and inputs."""
-        model, n = self.model, len(self.way.labels)
+        """Return minus the derivatives of z by x, and along the directions by u and p, at time k.
+
+        From 0 = g_x dx + g_z dz + g_u du + g_p dp.
+        """
+        model, n = self.model, len(self.directions.labels)
         if not model.n_z:
             return np.zeros((0, model.n_x)), np.zeros((0, n))
         g_x, g_z, g_u, g_p = (
             np.array(ca.DM(model.function(f"dalg_d{v}")(*self._at(k), self.e.p)).full())
             for v in "xzup"
         )
-        both = np.linalg.solve(g_z, np.hstack([g_x, g_u @ self.way.u + g_p @ self.way.p]))
+        along = g_u @ self.directions.u + g_p @ self.directions.p
+        both = np.linalg.solve(g_z, np.hstack([g_x, along]))
         return both[:, : model.n_x], both[:, model.n_x :]
 
     def _unknowns(self, k: int, dx: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What CasADi is to be told for each integrator, and which ones give derivatives to be trusted."""
+"""CasADi options of each integrator, and which integrators support derivatives."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ..model.values import Experiment
 
 
 def _of_idas(method: Any, model: Model, e: Experiment) -> tuple[str, dict[str, Any]]:
+    # The same share of the tolerances as in `Idas.solve`.
     scale = method.safety / np.sqrt(max(1, model.n_x + model.n_z))
     options = {
         "reltol": max(method.rtol * scale, 1e-15),
@@ -28,11 +29,14 @@ def _of_idas(method: Any, model: Model, e: Experiment) -> tuple[str, dict[str, A
 
 
 def _of_pair(method: Any, model: Model, e: Experiment) -> tuple[str, dict[str, Any]]:
+    # The pair's error estimate is that of the states alone. With steps bounded by the user the
+    # derivatives are those of the discrete solution; without, they were off by up to 0.15.
     if not method.max_step:
         kind = type(method).__name__
         raise ValueError(
-            f"sensitivity of '{model.name}': {kind} chooses its steps by the states alone; where "
-            f"they rest, their derivatives do not; give {kind}(max_step=...) in s, or use Idas()"
+            f"sensitivity of '{model.name}': {kind} chooses its steps by the states alone, and "
+            "where these are at rest their derivatives may still vary; "
+            f"give {kind}(max_step=...) in s, or use Idas()"
         )
     return method.plugin, {"reltol": method.rtol, "abstol": method.atol, **method.casadi_options}
 
@@ -48,6 +52,8 @@ def _of_collocation(method: Any, model: Model, e: Experiment) -> tuple[str, dict
         "collocation_scheme": method.scheme,
         "simplify": False,
         "rootfinder": "fast_newton",
+        # The exact derivative of the discrete solution presumes that Newton's method has solved
+        # its equations, so it is stopped later than in `Collocation.solve`.
         "rootfinder_options": {"abstol": 0, "abstolStep": 1e-13, "max_iter": 50},
     }
 
@@ -59,4 +65,4 @@ PLUGINS = {
     Collocation: _of_collocation,
     RK4: _of_rk4,
 }
-"""How each class of integrator is called: (integrator, model, experiment) -> (plugin, options)."""
+"""For each class of integrator: (integrator, model, experiment) -> (CasADi plugin, options)."""

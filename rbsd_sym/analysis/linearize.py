@@ -1,4 +1,4 @@
-"""A model linearised about a state: matrices, eigenvalues, modes, and what a reduction left out."""
+"""Linear model about a state: matrices, eigenvalues, modes, and those of states left out."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from ..model.signals import Inputs
 from ..model.values import Params, Point, Start, Where, locate
 from .tangent import chart_of, left_inverse, left_out_basis
 
-_SWEEPS = 40  # of balancing, which settles in a few
-_SHOWN = 24  # eigenvalues in a printed table
+# Sweeps of balancing, at most; it settles in a few.
+_SWEEPS = 40
+# Eigenvalues in a printed table.
+_SHOWN = 24
 
 
 class Spectrum(NamedTuple):
-    """Eigenvalues (k,) in 1/s, by their size, and how far rounding may have moved each (k,)."""
+    """Eigenvalues (k,) in 1/s, by rising modulus, and a bound (k,) on the rounding in each."""
 
     values: np.ndarray
     errors: np.ndarray
@@ -34,38 +36,45 @@ class Spectrum(NamedTuple):
 
     @property
     def damping_ratios(self) -> np.ndarray:
-        """-Re(s) / |s|: 0 without damping, 1 where nothing oscillates, negative where it grows."""
+        """-Re(s) / |s|: 0 without damping, 1 without oscillation, negative for growth."""
         size = np.abs(self.values)
         return np.divide(-self.values.real, size, out=np.zeros(len(size)), where=size > 0) + 0.0
 
     @property
     def growth(self) -> np.ndarray:
-        """Real parts, 1/s; those within their errors count as 0."""
+        """Real parts (k,), 1/s; those within their errors count as 0."""
         real = self.values.real
         return np.where(np.abs(real) <= self.errors, 0.0, real)
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """dx' = A dx + B du, dy = C dx + D du about a point, with the algebraic unknowns eliminated.
+    """A model linearised about a point, as returned by `linearize`.
+
+    dx' = A dx + B du, dy = C dx + D du, with the algebraic unknowns eliminated. Eigenvalues and
+    modes are those of tangent coordinates q, dx = T q, so that the norm of a quaternion does not
+    add an eigenvalue 0. `print(linear)` shows a table of frequencies and damping ratios.
 
     Arguments:
         name: of the model.
         point: t, x, z, u, p.
         A, B, C, D: over the states, (n_x, n_x), (n_x, n_u), (n_y, n_x), (n_y, n_u).
         states, inputs, outputs: names and units of their rows and columns.
-        basis: T (n_x, n) of tangent coordinates q: dx = T q. Their number n is that of the states
-            but for the norms of quaternions, which move nothing, and data states, which have no
-            rate.
-        A_tangent: (n, n): q' = A_tangent q + B_tangent du along the motion, and dy = C T q + D du.
-            Where the basis turns with the motion, its rate is in A_tangent.
+        basis: T (n_x, n). Each state has its tangent coordinate, but a quaternion has three, and
+            data states have none, since they have no rate.
+        A_tangent: (n, n) of q' = A_tangent q + B_tangent du along the motion; dy = C T q + D du. It
+            includes the rate of the basis where that turns with the motion.
         coordinates: names and units of q.
         kept: spectrum of A_tangent.
-        modes: (n_x, n) the states' part in each mode of `kept`, in its order, largest entry 1.
-        left_out: spectrum of the motions that a minimal model left out, empty for a full one.
-            Both together are the spectrum of the full model.
-        rate: largest rate of a state at the point, in its unit per s: 0 at rest. Away from rest,
-            eigenvalues tell what a disturbance does at that instant.
+        modes: (n_x, n), one column for each eigenvalue of `kept`: the states in this mode, scaled
+            so that the largest entry is 1.
+        left_out: spectrum of the states that a minimal model left out, empty for a full model.
+            `kept` and `left_out` together are the spectrum of the full model.
+        rate: largest rate of a state at the point, in its unit per s; 0 at rest. Away from rest the
+            eigenvalues describe a disturbance at that instant only, not over time.
+
+    >>> linear = linearize(model, static_equilibrium(model))  # doctest: +SKIP
+    >>> linear.stable, linear.frequencies, linear.mode(0)     # doctest: +SKIP
     """
 
     name: str
@@ -87,49 +96,56 @@ class Linear:
 
     @property
     def B_tangent(self) -> np.ndarray:
-        """(n, n_u)."""
+        """Matrix (n, n_u) of q' = A_tangent q + B_tangent du."""
         if not self.B.size:
             return np.zeros((len(self.A_tangent), self.B.shape[1]))
         return left_inverse(self.basis) @ self.B
 
     @property
     def C_tangent(self) -> np.ndarray:
-        """(n_y, n)."""
+        """Matrix (n_y, n) of dy = C_tangent q + D du."""
         return self.C @ self.basis
 
     @property
     def eigenvalues(self) -> np.ndarray:
-        """Of the states of the model, 1/s; those left out are in `left_out`."""
+        """Eigenvalues (n,) of the states of the model, 1/s; `left_out` has those left out."""
         return self.kept.values
 
     @property
     def frequencies(self) -> np.ndarray:
-        """Natural frequency of each eigenvalue, Hz."""
+        """Natural frequency |s| / (2 pi) of each eigenvalue (n,), Hz."""
         return self.kept.frequencies
 
     @property
     def damping_ratios(self) -> np.ndarray:
-        """Damping ratio of each eigenvalue."""
+        """Damping ratio -Re(s) / |s| of each eigenvalue (n,)."""
         return self.kept.damping_ratios
 
     @cached_property
     def spectrum(self) -> Spectrum:
-        """Of the full model: kept, then left out."""
+        """Spectrum of the full model: that of the states kept, then that of those left out."""
         pairs = zip(self.kept, self.left_out, strict=True)
         return Spectrum(*(np.concatenate(pair) for pair in pairs))
 
     @property
     def abscissa(self) -> float:
-        """Largest real part of the full spectrum, 1/s; what rounding may have made counts as 0."""
+        """Largest real part of the full spectrum, 1/s; within its rounding error it counts as 0."""
         return float(self.spectrum.growth.max(initial=-np.inf))
 
     @property
     def stable(self) -> bool:
-        """Whether no disturbance grows exponentially; a neutral one, such as a free turn, may."""
+        """Whether no disturbance grows exponentially.
+
+        A neutral one, such as a shift of a free body, may still grow in proportion to time.
+        """
         return self.abscissa <= 0
 
     def mode(self, index: int) -> dict[str, complex]:
-        """Part of each state in a mode, by name."""
+        """Return the complex amplitude of each state in a mode, by name, the largest being 1.
+
+        Arguments:
+            index: of the eigenvalue in `eigenvalues`.
+        """
         return dict(zip((s.name for s in self.states), self.modes[:, index].tolist(), strict=True))
 
     def __repr__(self) -> str:
@@ -146,7 +162,7 @@ class Linear:
         return "\n".join(lines)
 
     def _leaders(self) -> list[str]:
-        """The state with the largest part in each mode."""
+        """Return the name of the state with the largest amplitude in each mode."""
         if not self.states:
             return []
         return [self.states[int(i)].name for i in np.abs(self.modes).argmax(axis=0)]
@@ -177,23 +193,32 @@ def linearize(
     start: Start | None = None,
     t: float | None = None,
 ) -> Linear:
-    """A model linearised about a state, with exact derivatives.
+    """Linearise a model about a state, with exact derivatives.
+
+    dx' = A dx + B du, dy = C dx + D du, where y are the outputs requested by the scene. With
+    algebraic unknowns, 0 = g_x dx + g_z dz + g_u du is solved for dz.
 
     Arguments:
         at: an `Equilibrium` or a `Point`; a `Trajectory`, whose saved point at t is taken (the last
-            one by default); a vector of states; by default the model's start.
-        inputs, params: by name; the others keep their default, or what they are in `at`.
-        start: values of states by name that differ from those of `at`. Algebraic unknowns are
-            solved for, from these values.
-        t: s, 0 by default.
+            one by default); a vector of states (n_x,); states by name; by default the model's
+            start.
+        inputs, params: values by name; the others are those of `at`, or keep their default.
+        start: values of states by name that differ from those of `at`. For algebraic unknowns they
+            are the guess from which their equations are solved.
+        t: time in s; by default that of `at`, or 0.
 
     Raises:
-        ValueError: unknown names, algebraic equations without a solution near z, or that do not
-            determine the unknowns.
+        TypeError: `model` is not a model, or `start` is of an unknown kind.
+        ValueError: unknown names; algebraic equations without a solution near z, or that do not
+            determine the unknowns; derivatives that are not finite.
+
+    >>> linear = linearize(model, static_equilibrium(model))  # doctest: +SKIP
+    >>> linear.A.shape, linear.frequencies                    # doctest: +SKIP
     """
     point = _consistent(model, locate(model, at, inputs=inputs, params=params, start=start, t=t))
     A, B, C, D = _matrices(model, point)
     chart, rates = chart_of(model), _column(model, "ode", point)
+    # dx = T q with a basis T that turns with the motion: q' = T^+ (A T - T') q.
     T = _dense(chart.basis(point.x, point.z, point.p))
     turning = _dense(chart.turning(point.x, point.z, point.p, rates))
     A_tangent = left_inverse(T) @ (A @ T - turning) if T.size else np.zeros((0, 0))
@@ -220,7 +245,7 @@ def linearize(
 
 
 def left_out_spectrum(model: Model, point: Point) -> Spectrum:
-    """Spectrum of the motions that a minimal model left out, at a point of the model."""
+    """Return the spectrum of the states that a minimal model left out, at a point of the model."""
     reduction = model.reduction
     if reduction is None or not reduction.inertial:
         return Spectrum(np.zeros(0, complex), np.zeros(0))
@@ -231,10 +256,21 @@ def left_out_spectrum(model: Model, point: Point) -> Spectrum:
 
 
 def left_out_tangent(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Basis T (n, m) of the states that never move; which tangent rows have inertia (m,)."""
+    """Return the tangent coordinates of the states that a minimal model left out.
+
+    Returns:
+        Their basis T (n, m) over the n states that never move, in the order of the transverse
+        Jacobian; and whether each coordinate has inertia (m,).
+
+    Raises:
+        ValueError: it is a full model.
+    """
     reduction = model.reduction
     if reduction is None:
-        raise ValueError(f"model '{model.name}': nothing was left out of it")
+        raise ValueError(
+            f"model '{model.name}': it is a full model, without a transverse Jacobian; compile "
+            "with minimal=True"
+        )
     still = reduction.dropped[: len(reduction.inertial)]
     values = np.array([d.value for d in still])
     T = left_out_basis(model.dae, [d.name for d in still], values)
@@ -249,13 +285,13 @@ def _consistent(model: Model, point: Point) -> Point:
     if not found:
         raise ValueError(
             f"model '{model.name}': no algebraic unknowns found that solve their equations at "
-            f"t = {point.t:.6g} s; give z near a solution"
+            f"t = {point.t:.6g} s; give values near a solution (start={{name: value}})"
         )
     return Point(point.t, point.x, z, point.u, point.p, point.idle)
 
 
 def _matrices(model: Model, point: Point) -> list[np.ndarray]:
-    """A, B, C, D with the unknowns eliminated: 0 = g_x dx + g_z dz + g_u du."""
+    """Return A, B, C, D with the unknowns eliminated by 0 = g_x dx + g_z dz + g_u du."""
 
     def slope(f: str, v: str) -> np.ndarray:
         return _dense(model.function(f"d{f}_d{v}")(*point.arguments))
@@ -272,12 +308,14 @@ def _matrices(model: Model, point: Point) -> list[np.ndarray]:
     if not np.isfinite(moved).all():
         raise ValueError(
             f"model '{model.name}': at t = {point.t:.6g} s its algebraic equations do not "
-            "determine the unknowns (singular Jacobian); linearise elsewhere, or add what decides"
+            "determine the unknowns (singular Jacobian); linearise elsewhere, or add stiffness or "
+            "damping to the bodies without mass"
         )
-    ways = [moved[:, : model.n_x], moved[:, model.n_x :]]
+    # minus dz/dx and dz/du, for A and B, then again for C and D.
+    by = [moved[:, : model.n_x], moved[:, model.n_x :]]
     return [
-        matrix - slope(f, "z") @ way
-        for matrix, f, way in zip(found, ("ode", "ode", "out", "out"), ways * 2, strict=True)
+        matrix - slope(f, "z") @ dz
+        for matrix, f, dz in zip(found, ("ode", "ode", "out", "out"), by * 2, strict=True)
     ]
 
 
@@ -290,7 +328,7 @@ def _dense(value: Any) -> np.ndarray:
 
 
 def _shapes(T: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Modes in the states, their largest entries 1."""
+    """Return modes (n_x, n) in the states, the largest entry of each being 1."""
     modes = T.astype(complex) @ vectors
     if not modes.size:
         return modes
@@ -299,15 +337,23 @@ def _shapes(T: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 
 def spectrum_of(J: np.ndarray, inertial: np.ndarray) -> tuple[Spectrum, np.ndarray]:
-    """Spectrum of M x' = J x, M diagonal with 0 where a row has no inertia, and eigenvectors.
+    """Compute spectrum and eigenvectors of M x' = J x, where M is diagonal with entries 1 and 0.
 
-    States are scaled first, so that units and stiffness do not look like rounding.
+    J is balanced first, so that differences in units and stiffness do not look like rounding.
+
+    Arguments:
+        J: (n, n), 1/s.
+        inertial: (n,) whether a row is a rate (1 in M) or a balance without inertia (0 in M).
+
+    Returns:
+        The spectrum, and the eigenvectors (n, k) in its order, which are zero if some row has no
+        inertia.
 
     Raises:
-        ValueError: values that are not finite.
+        ValueError: J is not finite.
     """
     if not np.isfinite(J).all():
-        raise ValueError("linearize: a derivative is not finite; look at the state and parameters")
+        raise ValueError("linearize: a derivative is not finite; check the state and parameters")
     if not len(J):
         return Spectrum(np.zeros(0, complex), np.zeros(0)), np.zeros((0, 0), complex)
     scaled, scale = balanced(J)
@@ -321,9 +367,13 @@ def spectrum_of(J: np.ndarray, inertial: np.ndarray) -> tuple[Spectrum, np.ndarr
 
 
 def balanced(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """D^-1 A D with rows and columns of like size, and the diagonal of D, powers of 2.
+    """Balance a matrix: return D^-1 A D with rows and columns of like norm, and the diagonal of D.
 
-    [Parlett, Reinsch 1969]: eigenvalues stay, their condition is that of a matrix in fair units.
+    [Parlett, Reinsch 1969]. The eigenvalues stay the same, and rounding errors become those of a
+    matrix in comparable units. D holds powers of 2, so that the scaling itself is exact.
+
+    Arguments:
+        A: (n, n).
     """
     A, scale = A.copy(), np.ones(len(A))
     size = np.abs(A) - np.diag(np.abs(np.diag(A)))
@@ -333,6 +383,8 @@ def balanced(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             column, row = float(size[:, i].sum()), float(size[i].sum())
             if not (column and row):
                 continue
+            # Multiplying column i by f and dividing row i by it makes both norms equal for
+            # f = sqrt(row / column); the nearest power of 2 is exact.
             factor = 2.0 ** round(float(np.log2(row / column)) / 2)
             if factor != 1.0:
                 settled = False

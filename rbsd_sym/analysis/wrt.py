@@ -1,4 +1,4 @@
-"""What derivatives are by, and of: names in wrt, and outputs."""
+"""Numerators and denominators of derivatives: outputs, and the names in `wrt`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,20 @@ from ..model.model import Model
 from ..model.signals import is_constant
 from ..model.values import Experiment, Start
 
-_LISTED = 30  # names in an error message
+# Names listed in an error message, at most.
+_LISTED = 30
 
 
-class Way:
-    """What the names in wrt do to start states, parameters and inputs.
+class Directions:
+    """Derivatives of start states, parameters and inputs by the names in `wrt`.
 
     Fields:
-        labels: names, units and values.
-        x, p, u, idle: columns of derivatives, one for each name.
+        labels: names, units and values of what derivatives are by, (n_wrt).
+        x, p, u, idle: derivatives of start states (n_x, n_wrt), parameters (n_p, n_wrt), inputs
+            (n_u, n_wrt) and parameters without effect on the states; one column for each name.
+
+    Raises:
+        ValueError: a name is unknown, or an input that varies in time.
     """
 
     def __init__(self, model: Model, e: Experiment, names: list[str], start: Start | None) -> None:
@@ -35,12 +40,14 @@ class Way:
             group, row = _find(model, name, groups)
             if group == 2 and np.isnan(u[row]):
                 raise ValueError(
-                    f"sensitivity of '{model.name}': input '{name}' varies in time; derivatives "
-                    "are by inputs that are one number; write it with a Param, and use that"
+                    f"sensitivity of '{model.name}': input '{name}' varies in time, and so has no "
+                    "single value to differentiate by; write it with a Param, and use that"
                 )
             (self.x, self.p, self.u, self.idle)[group][row, k] = 1.0
             labels.append(replace(groups[group][row], start=float(values[group][row])))
         self.labels = tuple(labels)
+        # A start value may be an expression of parameters. It follows them unless it was given, or
+        # is itself what derivatives are by.
         moved = np.array(ca.DM(_start_slope(model)(e.p))) @ self.p
         every = [label.name for label in dae.x_labels]
         given = () if start is None else start if isinstance(start, Mapping) else every
@@ -50,7 +57,7 @@ class Way:
 
     @property
     def scale(self) -> np.ndarray:
-        """A fair size of a change of each: its value, or 1 where that is 0."""
+        """Typical size (n_wrt,) of a change of each: its absolute value, or 1 where that is 0."""
         values = np.abs([label.start for label in self.labels])
         return np.where(values > 0, values, 1.0)
 
@@ -74,13 +81,19 @@ def _find(model: Model, name: str, groups: Sequence[Sequence[Label]]) -> tuple[i
 
 
 def _start_slope(model: Model) -> ca.Function:
-    """Derivative of the start states by p."""
+    """Build the Function p -> derivative (n_x, n_p) of the start states by p."""
     dae = model.dae
     return ca.Function("start_slope", [dae.p], [ca.jacobian(dae.x_start, dae.p)])
 
 
 class Measure(NamedTuple):
-    """An output or a state with its derivatives by x, z, p and all parameters."""
+    """An output or a state with its derivatives.
+
+    Fields:
+        name, unit, shape: of the quantity; the shape of a state is ().
+        slopes: Function (t, x, z, u, all parameters) -> dense derivatives by x, z, u and all
+            parameters, one row for each entry.
+    """
 
     name: str
     unit: str
@@ -89,10 +102,10 @@ class Measure(NamedTuple):
 
     @staticmethod
     def of(model: Model, name: str) -> Measure:
-        """The output or state of that name.
+        """Build the `Measure` of an output or state.
 
         Raises:
-            ValueError: there is none.
+            ValueError: there is none of that name.
         """
         dae = model.dae
         labels = (*dae.x_labels, *dae.z_labels)
@@ -108,6 +121,6 @@ class Measure(NamedTuple):
             expr = dae.output(name)
             unit, shape = dae.outputs[name].unit, dae.outputs[name].shape
         p = dae.parameters.symbols
-        ways = [ca.densify(ca.jacobian(expr, v)) for v in (dae.x, dae.z, dae.u, p)]
-        slopes = ca.Function("slopes", [dae.t, dae.x, dae.z, dae.u, p], ways, {"cse": True})
+        jacobians = [ca.densify(ca.jacobian(expr, v)) for v in (dae.x, dae.z, dae.u, p)]
+        slopes = ca.Function("slopes", [dae.t, dae.x, dae.z, dae.u, p], jacobians, {"cse": True})
         return Measure(name, unit, shape, slopes)

@@ -12,7 +12,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..model.casadi_events import INSTANT, NEVER, RECORD, add_events, begin, n_extra, tidy
+from ..model.casadi_events import INSTANT, NEVER, RECORD, add_events, begin, clean_data, n_extra
 from ..model.casadi_events import integrator as with_events
 from ..model.model import Model
 from . import c_names as names
@@ -44,7 +44,7 @@ def casadi_text(model: Model, integrator: Any) -> str:
     p, first, last, more = ca.vertsplit(
         q, [0, model.n_p, model.n_p + model.n_u, model.n_p + 2 * model.n_u, n_q]
     )
-    arguments = (more[0] + s * more[1], tidy(model, x), z, first + s * (last - first), p)
+    arguments = (more[0] + s * more[1], clean_data(model, x), z, first + s * (last - first), p)
     dae = {
         "t": s,
         "x": x,

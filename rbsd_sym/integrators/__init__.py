@@ -1,4 +1,7 @@
-"""Integrators: a `Model` and an `Experiment` to a `Trajectory`; one file per method."""
+"""Integrators, which turn a `Model` and an `Experiment` into a `Trajectory`; one file per method.
+
+`README.md` in this folder compares the methods, and says how to add one.
+"""
 
 from .collocation import Collocation
 from .dop853 import Dop853

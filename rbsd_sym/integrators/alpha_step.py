@@ -1,8 +1,9 @@
 """One step of generalized-alpha on R3 x SO(3) as a CasADi function, with Newton's method inside.
 
-Unknowns are increments: tangent steps of the coordinates, steps of first-order states, and z.
-Velocities and accelerations follow from them. An unknown acceleration would give the increment as a
-difference of numbers as large as (h w)^2 times it: at h w = 1e4 that costs eight digits.
+The unknowns are increments: tangent steps of the coordinates, increments of first-order states, and
+z. Velocities and accelerations follow from them. With accelerations as unknowns, an increment would
+be a difference of numbers (h w)^2 times as large, w being an angular frequency: at h w = 1e4 that
+costs eight digits.
 """
 
 from __future__ import annotations
@@ -18,19 +19,24 @@ from ..dae.dae import Dae
 from ..dae.members import Kinematics, pick
 from ..model.model import Model
 
-ITERATIONS = 12  # of Newton's method; where it converges it needs 2 to 5
-_LITTLE = 0.03  # of 1 + |value|
-_COUNT = 1e-30  # see `_Step._equations`
+# Newton iterations, at most; where the method converges it needs 2 to 5.
+ITERATIONS = 12
+# The predictor uses an old acceleration only if that changes a value by less than this fraction of
+# 1 + |value|.
+_LITTLE = 0.03
+# Unit of the unknown that counts iterations (see `_Step._equations`), far below any tolerance.
+_COUNT = 1e-30
 
 
 class Coefficients(NamedTuple):
     """Coefficients of generalized-alpha.
 
-    With y' = f at the ends of the step, and y1 = y0 + h v0 + h^2 ((1/2 - beta) a0 + beta a1) for
-    what has a velocity v and an acceleration a:
+    For a state y with y' = f(y), whose a approximates its rate, a step from 0 to 1 solves
 
         y1 = y0 + h ((1 - gamma) a0 + gamma a1)
         (1 - alpha_m) a1 + alpha_m a0 = (1 - alpha_f) f1 + alpha_f f0
+
+    If y is the velocity of a coordinate q, then q1 = q0 + h y0 + h^2 ((1/2 - beta) a0 + beta a1).
     """
 
     alpha_m: float
@@ -40,15 +46,14 @@ class Coefficients(NamedTuple):
 
     @property
     def shift(self) -> float:
-        """The a at time t is y' at t + shift h, to second order: both sides of the recursion."""
+        """Shift of a in time: the a at time t is y' at t + shift h, to second order in h."""
+        # Both sides of the recursion, expanded about the start of the step.
         return self.alpha_m - self.alpha_f
 
     @property
     def error(self) -> float:
-        """Local error of y1, in units of h^3 y'''.
-
-        By Taylor series: a = y' at t + shift h, plus k h^2 y''' with k from the recursion.
-        """
+        """Local error of y1, in units of h^3 y'''."""
+        # Taylor series: a = y' at t + shift h, plus k h^2 y''' with k from the recursion.
         m, s = self.alpha_m, self.shift
         k = ((1 - self.alpha_f) - (1 - m) * (1 + s) ** 2 - m * s * s) / 2
         return k + ((1 - self.gamma) * s * s + self.gamma * (1 + s) ** 2) / 2 - 1 / 6
@@ -60,13 +65,15 @@ class Coefficients(NamedTuple):
 
 
 def second_order(rho: float) -> Coefficients:
-    """For coordinates with velocities; rho is the spectral radius at infinite frequency.
+    """Return the coefficients for coordinates with velocities.
 
-    [Chung, Hulbert 1993; Arnold, Bruels 2007]. For rho = 1 the recursion reads
-    a1 - f1 = -(a0 - f0): from a = f at the start it stays a = f, but rounding is carried on for
-    ever. So a1 = f1 is used, which gives the same steps: those of the trapezoidal rule, since
-    beta = 1/4 and gamma = 1/2.
+    [Chung, Hulbert 1993; Arnold, Bruels 2007]; rho = 1 is the trapezoidal rule.
+
+    Arguments:
+        rho: spectral radius at infinite frequency, 0 ... 1.
     """
+    # For rho = 1 the recursion reads a1 - f1 = -(a0 - f0). From a = f at the start it keeps a = f,
+    # but never loses a rounding error. a1 = f1 gives the same steps without carrying it on.
     if rho == 1:
         return Coefficients(0.0, 0.0, 0.5, 0.25)
     m, f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
@@ -75,10 +82,15 @@ def second_order(rho: float) -> Coefficients:
 
 
 def first_order(rho: float) -> Coefficients:
-    """For states without velocities [Jansen, Whiting, Hulbert 2000], alphas counted from the end.
+    """Return the coefficients for states without velocities.
 
-    All roots at infinite stiffness are -rho; with `second_order` the second would be -1/3 at
-    rho = 0. Rho = 0 is BDF2, rho = 1 the trapezoidal rule (see `second_order`).
+    [Jansen, Whiting, Hulbert 2000], with alpha_m and alpha_f counted from the end of the step as in
+    `second_order`. All roots at infinite stiffness are -rho, whereas the coefficients of
+    `second_order` would leave a root of -1/3 at rho = 0. rho = 0 is BDF2, rho = 1 the trapezoidal
+    rule.
+
+    Arguments:
+        rho: spectral radius at infinite stiffness, 0 ... 1.
     """
     if rho == 1:
         return Coefficients(0.0, 0.0, 0.5, 0.0)
@@ -86,30 +98,32 @@ def first_order(rho: float) -> Coefficients:
 
 
 class Moved(NamedTuple):
-    """What a step moves: one unknown increment.
+    """One unknown increment of a step: of a tangent coordinate, or of a first-order state.
 
     Fields:
-        slot: row of x where its rate and its a are kept.
-        velocity: row of the full scene whose value is its rate; None for a row of ode.
+        slot: row of x in whose place its rate and its a are stored.
+        velocity: row of the full scene's states whose value is its rate; None if a row of ode is.
         second: whether the slot is a velocity, and the increment that of its coordinate.
         with_velocity: whether it gets the coefficients of `second_order`.
-        beside: rows of x that tell its size.
+        scale_rows: rows of x whose absolute values are the scale of the increment.
     """
 
     slot: int
     velocity: int | None
     second: bool
     with_velocity: bool
-    beside: tuple[int, ...]
+    scale_rows: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class Tangent:
-    """A motion with at least one live coordinate: its tangent step, component by component.
+    """A motion with at least one coordinate that is a state: its tangent step, by component.
 
     Fields:
+        motion: its coordinates and velocities, as rows of the full scene's states.
         parts: for each velocity its `Moved`, or None for a constant one.
-        live: positions among the coordinates, and rows of x.
+        live: the coordinates that are states: positions among the motion's coordinates, and rows
+            of x.
     """
 
     motion: Kinematics
@@ -118,13 +132,19 @@ class Tangent:
 
 
 class Groups:
-    """What a step moves, and how, from the kinematics of a `Dae`.
+    """The increments of a step, sorted by kind, from the kinematics of a `Dae`.
 
-    - A velocity that is a state, with a live coordinate: second order.
-    - One that is no state but follows from x and z (a damped motion without inertia): the tangent
-      step is integrated like a first-order state; its history takes the slot of a coordinate.
-    - A constant one: the step is time times velocity.
-    - Every other state is of first order, data apart.
+    - A velocity that is a state and has a coordinate that is one: second order.
+    - A velocity that is not a state, but follows from x and z (a damped motion without inertia):
+      the tangent step is integrated like a first-order state, with its history in the slot of a
+      coordinate.
+    - A constant velocity: the tangent step is time times velocity.
+    - Every other state is of first order, except data states, which do not move.
+
+    Fields:
+        tangents: the motions, component by component.
+        rest: the increments of the other states.
+        moved: all increments, in the order of the unknowns.
     """
 
     def __init__(self, dae: Dae) -> None:
@@ -139,24 +159,24 @@ class Groups:
         self.moved = (*parts, *self.rest)
 
     def _place(self, row: int) -> int | None:
-        """Row of x of a full state."""
+        """Return the row of x of a state of the full scene, or None."""
         return self.dae.expansion.rows[row] if self.dae.expansion else row
 
     def _tangent(self, motion: Kinematics) -> Tangent | None:
         dae = self.dae
         places = [self._place(row) for row in motion.coordinates]
         live = tuple((i, place) for i, place in enumerate(places) if place is not None)
-        moving, beside = ca.vertcat(dae.x, dae.z), tuple(place for _, place in live)
-        slots, parts = iter(beside), list[Moved | None]()
+        moving, scale_rows = ca.vertcat(dae.x, dae.z), tuple(place for _, place in live)
+        slots, parts = iter(scale_rows), list[Moved | None]()
         for row in motion.velocities:
             place = self._place(row)
             if place is not None:
-                parts.append(Moved(place, None, True, True, beside))
+                parts.append(Moved(place, None, True, True, scale_rows))
             elif ca.depends_on(dae.states[row], moving):
                 slot = next(slots, None)
                 if slot is None:
                     return None
-                parts.append(Moved(slot, row, False, False, beside))
+                parts.append(Moved(slot, row, False, False, scale_rows))
             else:
                 parts.append(None)
         return Tangent(motion, tuple(parts), live) if live else None
@@ -168,7 +188,7 @@ class Groups:
 
     @cached_property
     def _velocities(self) -> tuple[ca.Function, ca.Function]:
-        """(x, z, p) -> rates that are no row of ode; their derivatives by x and z."""
+        """Functions (x, z, p) -> the rates that are not rows of ode; their derivatives by x, z."""
         dae = self.dae
         rows = [part.velocity for part in self.moved if part.velocity is not None]
         value, symbols = pick(dae.states, rows), [dae.x, dae.z, dae.p]
@@ -177,7 +197,7 @@ class Groups:
 
     @cached_property
     def _rows(self) -> list[int]:
-        """Rows of all rates in [ode; velocities]."""
+        """Rows of the rates of all increments in [ode; velocities]."""
         rows, place = list[int](), int(self.dae.x.numel())
         for part in self.moved:
             rows.append(part.slot if part.velocity is None else place)
@@ -185,13 +205,18 @@ class Groups:
         return rows
 
     def rates(self, model: Model, t: Any, x: Any, z: Any, u: Any, p: Any) -> Any:
-        """Rates of all that is moved, in order."""
+        """Return the rates of all increments, in order, as expressions."""
         ode = model.function("ode")(t, x, z, u, p)
         both = ca.vertcat(ode, self._velocities[0](x, z, p))
         return both[self._rows] if self.moved else both[:0]
 
     def slopes(self, model: Model, by_x: ca.MX, by_z: ca.MX, *at: ca.MX) -> ca.MX:
-        """Derivatives of the rates at (t, x, z, u, p) by what x and z have these derivatives by."""
+        """Return the derivatives of the rates by the variables of which x and z are functions.
+
+        Arguments:
+            by_x, by_z: derivatives of x and z by these variables.
+            at: t, x, z, u, p.
+        """
         ode = [model.function(f"dode_d{v}")(*at) for v in "xz"]
         own = self._velocities[1](at[1], at[2], at[4])
         total = [ca.vertcat(a, b)[self._rows, :] for a, b in zip(ode, own, strict=True)]
@@ -199,7 +224,7 @@ class Groups:
 
 
 def rates_function(model: Model) -> ca.Function:
-    """(t, x, z, u, p) -> the rate kept with each row of x, which a start needs."""
+    """Return the Function (t, x, z, u, p) -> the rate stored with each row of x, for a start."""
 
     def build() -> ca.Function:
         layout = Groups(model.dae)
@@ -213,31 +238,34 @@ def rates_function(model: Model) -> ca.Function:
 
 
 def step_function(model: Model, rho: float, tolerance: float) -> ca.Function:
-    """(t0, h, x0, rate0, a0, z0, u1, p) -> (x1, rate1, a1, z1, size, iterations).
+    """Return one step as a CasADi Function, which can be generated to C.
 
-    `rate` holds y' (of a velocity its acceleration) and `a` the method's own, a row for each state,
-    zero where none is kept; a0 = rate0 at a start. Inputs u1 are those at the end of the step. It
-    failed unless size <= tolerance: the largest correction of Newton's last iteration, relative to
-    1 + |value|, infinite where a value is not finite. It generates to C.
+    (t0, h, x0, rate0, a0, z0, u1, p) -> (x1, rate1, a1, z1, size, iterations), with times in s.
+    `rate` holds the rate of each state (of a velocity the acceleration), `a` the method's own
+    approximation of it; both have a row for each state, zero where there is none. At a start a0 is
+    rate0. u1 are the inputs at the end of the step. `size` is the largest correction of the last
+    Newton iteration, relative to 1 + |value|, and infinite if a value is not finite: the step has
+    failed unless size <= tolerance.
 
     Arguments:
         rho: spectral radius at infinite frequency, 0 ... 1.
-        tolerance: where Newton's method stops; more than 1e-15.
+        tolerance: size of a correction at which Newton's method stops; more than 1e-15.
     """
     key = ("generalized_alpha step", rho, tolerance)
     return model.cached(key, lambda: _Step(model, rho).function(tolerance))
 
 
 def _symbols(model: Model, **sizes: int) -> list[Any]:
-    """Symbols of the kind that the model's functions take."""
+    """Return symbols of the kind that the model's functions take: MX for kernels, SX if flat."""
     kind = ca.MX if model.calls else ca.SX
     return [kind.sym(name, n) for name, n in sizes.items()]
 
 
 class _Step:
-    """How the step function is put together.
+    """The parts of the step function.
 
-    Unknowns are y, in units of 1 + |value|: increments, steps of z, and one that counts iterations.
+    The unknowns y, in units of 1 + |value|, are the increments, the changes of z, and one that
+    counts the iterations.
     """
 
     def __init__(self, model: Model, rho: float) -> None:
@@ -258,11 +286,11 @@ class _Step:
         own = [ca.SX.sym(name, k) for name, k in (("y", self.n_y), ("h", 1), ("r", n), ("a", n))]
         self.y, self.h, self.rate0, self.a0 = own
         self.arguments = [self.y, self.h, dae.x, self.rate0, self.a0, dae.z, dae.p]
-        self.lengths = [_largest([dae.x[row] for row in m.beside]) for m in self.layout.moved]
+        self.lengths = [_largest([dae.x[row] for row in m.scale_rows]) for m in self.layout.moved]
         self.units = [1 + length for length in self.lengths]
 
     def function(self, tolerance: float) -> ca.Function:
-        """The whole step: guess, Newton's method, and what follows from its result."""
+        """Build the whole step: predictor, Newton's method, and the state at the end."""
         end = ca.Function("end", self.arguments, self._end(), {"cse": True})
         residual, derivative = self._equations(end)
         options = {
@@ -282,24 +310,22 @@ class _Step:
 
     @staticmethod
     def _own(given: dict[str, Any]) -> list[Any]:
-        """What determines the end of a step, beside the unknowns."""
+        """Return the arguments that determine the end of a step, together with the unknowns."""
         return [given[name] for name in ("h", "x0", "rate0", "a0", "z0", "p")]
 
     def _origin(self, i: int) -> ca.SX:
-        """What an increment is counted from: h v0, or 0 where that is larger than the coordinate.
-
-        From h v0 the acceleration follows without a difference of close numbers. From 0 the
-        increment itself does, where steps are much longer than a period.
-        """
+        """Return the value from which an increment is counted: h v0, or 0."""
+        # Counted from h v0, the acceleration follows without a difference of close numbers. Where
+        # h v0 exceeds the coordinate, steps are much longer than a period, and the increment is
+        # the small number: then it is counted from 0.
         part = self.layout.moved[i]
         free = self.h * self.dae.x[part.slot]
         return free * (ca.fabs(free) <= self.lengths[i]) if part.second else ca.SX(0)
 
     def _guess(self) -> ca.Function:
-        """The unknowns of a step at constant a, as far as a moves but little.
-
-        Of a stiff oscillation it would lead far away.
-        """
+        """Build the predictor: the unknowns of a step with constant a."""
+        # In a stiff oscillation a changes sign many times within a step; the change it predicts is
+        # then large, and is dropped.
         column = ca.SX.zeros(self.n_y)
         for i, part in enumerate(self.layout.moved):
             free = self.h * self.dae.x[part.slot] if part.second else ca.SX(0)
@@ -309,13 +335,14 @@ class _Step:
         return ca.Function("guess", self.arguments[1:], [column])
 
     def _end(self) -> list[ca.SX]:
-        """[x1, rate1, a1, z1] from the unknowns."""
+        """Return [x1, rate1, a1, z1] as expressions of the unknowns."""
         dae, y, h, n = self.dae, self.y, self.h, self.dae.x.numel()
         x1, rate1, a1 = (list(ca.vertsplit(v)) for v in (dae.x, ca.SX.zeros(n), ca.SX.zeros(n)))
         steps = dict[Moved, ca.SX]()
         for i, part in enumerate(self.layout.moved):
             k, row = self.second if part.with_velocity else self.first, part.slot
             change, old = self.units[i] * y[i], self.a0[row]
+            # The equations of `Coefficients`, solved for a1, y1 and f1 (here rate1).
             if part.second:
                 start, free = self._origin(i), h * dae.x[row]
                 steps[part] = start + change
@@ -334,7 +361,7 @@ class _Step:
         return [ca.vertcat(ca.SX(0, 1), *column) for column in (x1, rate1, a1, z1)]
 
     def _retract(self, steps: dict[Moved, ca.SX], x1: list[ca.SX]) -> None:
-        """Move the coordinates by their tangent steps."""
+        """Move the coordinates in x1 by their tangent steps."""
         states = self.dae.states
         for tangent in self.layout.tangents:
             motion = tangent.motion
@@ -345,15 +372,15 @@ class _Step:
                 x1[row] = moved[i]
 
     def _weights(self, h: Any) -> Any:
-        """Factors that turn rates into increments."""
+        """Return the factors that turn rates into increments."""
         return ca.vertcat(*(h**2 if part.second else h for part in self.layout.moved))
 
     def _equations(self, end: ca.Function) -> tuple[ca.Function, ca.Function | None]:
-        """(y, t0, h, ...) -> (residual, y), and for functions that are called its derivative, too.
-
-        The result y is where the last correction of Newton's method started from. The last unknown
-        counts the iterations: the root of exp(c) is farther away by 1 after each.
-        """
+        """Build (y, t0, h, ...) -> (residual, y), and for models with kernels its derivative."""
+        # CasADi's rootfinder returns neither the size of its last correction nor the number of its
+        # iterations. The second result is the y at which the residual was last evaluated, that is
+        # before the last correction. The row exp(c) has no root: each Newton correction of it is
+        # exactly -1, here in units of _COUNT, so that c counts the iterations.
         model, slots = self.model, self.layout.slots
         y, *given = _symbols(model, y=self.n_y, **self.sizes)
         named = dict(zip(self.sizes, given, strict=True))
@@ -373,14 +400,13 @@ class _Step:
         return residual, ca.Function("jac_residual", [y, *given], [matrix, *results])
 
     def _slope(self, y: ca.MX, named: dict[str, ca.MX], at: tuple[ca.MX, ...]) -> ca.MX:
-        """Derivative of the residual, by the chain rule.
-
-        CasADi's own would call the model's Jacobian once for each of many directions.
-        """
+        """Return the derivative of the residual by y, by the chain rule."""
+        # CasADi's own derivative would call the model's functions once for each of many directions.
         model, slots = self.model, self.layout.slots
         x1, rate1, _, z1 = self._end()
-        ways = [ca.jacobian(v, self.y) for v in (x1, z1, rate1[slots] if slots else self.y[:0])]
-        slopes = ca.Function("slopes", self.arguments, ways, {"cse": True})
+        ends = (x1, z1, rate1[slots] if slots else self.y[:0])
+        jacobians = [ca.jacobian(v, self.y) for v in ends]
+        slopes = ca.Function("slopes", self.arguments, jacobians, {"cse": True})
         by_x, by_z, kept = slopes(y, *self._own(named))
         count = ca.MX(1, self.n_y)
         count[0, self.n_y - 1] = ca.exp(y[-1] / _COUNT)
@@ -389,20 +415,21 @@ class _Step:
             alg = [model.function(f"dalg_d{v}")(*at) for v in "xz"]
             rows.insert(0, alg[0] @ by_x + alg[1] @ by_z)
         if slots:
-            felt = self.layout.slopes(model, by_x, by_z, *at)
-            rows.insert(0, ca.diag(self._weights(named["h"])) @ (kept - felt))
+            of_rates = self.layout.slopes(model, by_x, by_z, *at)
+            rows.insert(0, ca.diag(self._weights(named["h"])) @ (kept - of_rates))
         return ca.vertcat(*rows)
 
 
 def _largest(values: Sequence[ca.SX]) -> ca.SX:
-    """The largest absolute value."""
+    """Return the largest absolute value."""
     return reduce(ca.fmax, map(ca.fabs, values))
 
 
 def _verdict(n: int) -> ca.Function:
-    """(y, y before) -> (largest last correction, iterations); NaN is no correction at all."""
+    """Build (y, y before the last correction) -> (size of this correction, iterations)."""
     y, before = ca.SX.sym("y", n), ca.SX.sym("before", n)
     size = _largest(ca.vertsplit(y - before))
+    # fmax drops NaN, so a value that is not finite would look like a small correction.
     finite = ca.sumsqr(y) < ca.inf
     results = [ca.if_else(finite, size, ca.inf), -y[-1] / _COUNT]
     return ca.Function("verdict", [y, before], results)

@@ -13,65 +13,86 @@ from ..model.values import Experiment
 from .events import Instant, Watch
 from .post_newton import PostNewton, advice
 
-_SMALLEST = 1e-6  # of the step asked for: what a post-Newton step may cut it to
-_ROUNDING = 1e-9  # of a step
+# Post-Newton steps may shorten a step to this fraction of the one asked for.
+_SMALLEST = 1e-6
+# Relative rounding of a step.
+_ROUNDING = 1e-9
 Try = Callable[..., Any]
 """(state, h, data=None) -> the state after a step, or an `Outcome`."""
 
 
 class Switch:
-    """What happens to a state between steps.
+    """Events and post-Newton steps of one run, which change a state between two steps.
+
+    Arguments:
+        attempt: tries a step, `Stepper.try_step`.
+        step: the step asked for, s.
 
     Fields:
-        wish: step that the post-Newton step recommends next, s; infinite for none.
+        proposed: next step that the post-Newton step recommends, s; infinite for none.
     """
 
     def __init__(
         self, model: Model, experiment: Experiment, attempt: Try, post: PostNewton, step: float
     ) -> None:
         self.model, self.experiment, self.attempt, self.post = model, experiment, attempt, post
-        self.watch, self.wish, self.smallest = Watch(model, experiment), np.inf, step * _SMALLEST
+        self.watch, self.proposed, self.smallest = (
+            Watch(model, experiment),
+            np.inf,
+            step * _SMALLEST,
+        )
         self._data = list(model.dae.data)
         self._point: Instant | None = None
 
     def begin(self, t: float, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States and unknowns at the start, after what happens there."""
+        """Return states and unknowns at the start, after the events that fire there."""
         if not self.model.events:
             return x, z
         self._point = self.watch.begin(t, x, z)
         return self._point.x, self._point.z
 
     def solved(self, s: Any, h: float) -> tuple[Any, float | None]:
-        """The state after a step, with its data updated, and None; or, to cut it, a shorter step.
+        """Solve a step with its post-Newton steps, by the rules in `post_newton`.
 
-        See `post_newton` for the rules.
+        Returns:
+            The state after the step (or the `Outcome` of a failure) and None; or, if the step has
+            to be shortened, a state to be discarded and the shorter step in s.
         """
         new = self.attempt(s, h)
         if not self.model.dae.updates or isinstance(new, Outcome):
             return new, None
-        self.wish = np.inf
+        self.proposed = np.inf
         for k in range(self.post.iterations + 1):
             u = self.watch.inputs(new.t)
-            said = advice(self.model, new.t, new.x, new.z, u, self.experiment.p)
-            wish = max(said.step, self.smallest) if said.step >= 0 else np.inf
-            if said.error <= self.post.tolerance or h <= 1.001 * self.smallest:
-                self.wish = wish
-                return new._replace(x=said.x), None
-            shorter = wish < h * (1 - _ROUNDING)
+            response = advice(self.model, new.t, new.x, new.z, u, self.experiment.p)
+            proposed = max(response.step, self.smallest) if response.step >= 0 else np.inf
+            # At the smallest step an error above the tolerance is accepted: no step could be cut.
+            if response.error <= self.post.tolerance or h <= 1.001 * self.smallest:
+                self.proposed = proposed
+                return new._replace(x=response.x), None
+            shorter = proposed < h * (1 - _ROUNDING)
             if shorter or k == self.post.iterations:
-                return new, max(self.smallest, wish if shorter else h / 2)
-            new = self.attempt(s, h, data=said.x[self._data])
+                return new, max(self.smallest, proposed if shorter else h / 2)
+            new = self.attempt(s, h, data=response.x[self._data])
             if isinstance(new, Outcome):
                 return new, None
         return new, None
 
     def after(self, s: Any, new: Any) -> Instant | None:
-        """The point after the first event on the way, or with data that changed at its end."""
+        """Fire the first event within a step.
+
+        Arguments:
+            s, new: states before and after the step.
+
+        Returns:
+            The point after the event, or the end of the step if its data changed there, from which
+            the integration has to start again; None if neither happened.
+        """
         if not self.model.events:
             changed = bool(self.model.dae.updates) and (new.x != s.x)[self._data].any()
-            return self.watch.look(new.t, new.x, new.z) if changed else None
-        start = self._point or self.watch.look(s.t, s.x, s.z)
-        end = self.watch.look(new.t, new.x, new.z)
+            return self.watch.check(new.t, new.x, new.z) if changed else None
+        start = self._point or self.watch.check(s.t, s.x, s.z)
+        end = self.watch.check(new.t, new.x, new.z)
         found = self.watch.search(start, end, lambda _, t: self._within(s, t))
         if found is None:
             self._point = end
@@ -80,6 +101,9 @@ class Switch:
         return self._point
 
     def _within(self, s: Any, t: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """States and unknowns after a shorter step: smooth in its length, of the same order."""
+        """Return states and unknowns at a time within a step, by a shorter step, or None.
+
+        Unlike an interpolant it has the accuracy of the method, and it is smooth in t.
+        """
         new = self.attempt(s, t - s.t - s.lag)
         return None if isinstance(new, Outcome) else (new.x, new.z)

@@ -1,4 +1,4 @@
-"""Runs of models with events by CasADi's one-step methods."""
+"""Runs of models with events by CasADi's own one-step methods, which fire the events themselves."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ..model import casadi_events
 from ..model.casadi_events import (
     CLOSE,
     CROWD,
-    LEAST,
+    MIN_CHECKS,
     Recorded,
     add_events,
+    clean_data,
     extra_start,
     ready,
     recorded,
-    tidy,
 )
 from ..model.model import Model
 from ..model.signals import is_constant, raise_of_user
@@ -39,7 +39,9 @@ from .driver import (
 )
 from .events import SegmentEnd, Watch, guarded
 
-_BEYOND = 1e-6  # of the run and the rate: so far below zero no event is late, but missed
+# A function is this far below zero, relative to the run times 1 + |rate|, only if its event was
+# missed, not merely late by a rounding error.
+_BEYOND = 1e-6
 
 
 def run_with_events(
@@ -50,10 +52,19 @@ def run_with_events(
     judge: Callable[[Run], Verdict],
     count: Mapping[str, str],
 ) -> Trajectory:
-    """Integrate with a CasADi plugin and its events; arguments as of `driver.run`.
+    """Integrate a model with events by a CasADi plugin.
 
-    By functions of the model's own: the search of events wants derivatives that compiled ones lack.
+    Events at the start fire before the integration, those during it inside CasADi (see
+    `model.casadi_events`). Afterwards the saved points are checked for events that CasADi missed.
+
+    Arguments:
+        plugin: "rosenbrock" or "erk".
+        options, judge, count: as of `driver.run`.
+
+    Raises:
+        ValueError: a user's input function raised an error, or the model has no states.
     """
+    # CasADi's search for events needs derivatives, which compiled functions do not have.
     model = model.plain
     found = consistent(model, experiment)
     if isinstance(found, Trajectory):
@@ -71,7 +82,7 @@ def run_with_events(
             begun.outcome or Outcome.solver_failed,
             begun.report,
             {},
-            watch.happened,
+            watch.fired,
         )
     experiment = replace(experiment, x=begun.x, z=begun.z)
     kept: list[Any] = []
@@ -81,7 +92,7 @@ def run_with_events(
     whole = np.concatenate([experiment.x, extra])
     result = call_integrator(integrator, replace(experiment, x=whole))
     extra = result.x[: _reached(result), model.n_x :]
-    record = recorded(model, extra, watch.happened)
+    record = recorded(model, extra, watch.fired)
     result = result._replace(x=result.x[:, : model.n_x].copy())
     if model.n_z:
         settle(model, experiment, result)
@@ -94,6 +105,7 @@ def run_with_events(
 
 
 def _reached(result: Run) -> int:
+    """Return the number of saved points before the first that is not finite, at least 1."""
     finite = np.isfinite(result.x).all(axis=1)
     return max(1, int(finite.argmin()) if not finite.all() else len(finite))
 
@@ -106,7 +118,7 @@ def _integrator(
     instant: float,
     kept: list[Any],
 ) -> ca.Function:
-    """The integrator Function, kept with the model as in `driver`."""
+    """Return the integrator Function, kept with the model if all inputs are constant."""
     fixed = all(is_constant(s) for s in e.inputs)
     key = ("events", plugin, repr(sorted(options.items())), e.t.tobytes())
 
@@ -126,13 +138,14 @@ def _with_events(
 ) -> ca.Function:
     dae = casadi_dae(model, e.inputs, kept)
     t, x, z, p, u = (dae[key] for key in ("t", "x", "z", "p", "u"))
+    # The transition calls Functions, which only an MX graph can.
     if not isinstance(x, ca.MX):
         over = ca.Function("dae", [t, x, z, p], [dae["ode"], dae["alg"], u])
         t, x, z, p = (ca.MX.sym(key, dae[key].shape) for key in "txzp")
         ode, alg, u = over(t, x, z, p)
         dae = {"t": t, "x": x, "z": z, "p": p, "ode": ode, "alg": alg}
     dae.pop("u", None)
-    arguments = (t, tidy(model, x), z, u, p[: model.n_p])
+    arguments = (t, clean_data(model, x), z, u, p[: model.n_p])
     dae, transition = add_events(model, dae, arguments, instant)
     options = {"max_step_size": _longest(e), **options}
     grid = [float(time) for time in e.t]
@@ -142,13 +155,16 @@ def _with_events(
 def _missed(
     watch: Watch, x: np.ndarray, z: np.ndarray, ready: np.ndarray
 ) -> tuple[int, str] | None:
-    """The first saved point before which an event should have fired, and its name.
+    """Return the first saved point before which an event was missed, and its name, or None.
+
+    An event was missed if it is armed while its function is clearly below zero.
 
     Arguments:
-        ready: whether each event would fire as it falls, at each point (n, events).
+        x, z: saved points (n, n_x), (n, n_z).
+        ready: (n, events) whether each event is armed at each point.
     """
     t = watch.experiment.t
-    for k, point in enumerate(watch.look_at(t[: len(x)], x, z)):
+    for k, point in enumerate(watch.check_all(t[: len(x)], x, z)):
         width = _BEYOND * (1 + np.abs(point.rate)) * (t[-1] - t[0])
         late = np.flatnonzero(ready[k] & (point.zero < -width))
         if late.size:
@@ -157,9 +173,11 @@ def _missed(
 
 
 def _longest(e: Experiment) -> float:
-    """The longest step: CasADi looks for crossings at the ends of steps only."""
+    """Return the longest step that is allowed, s."""
+    # CasADi compares signs at the ends of steps only, so a short excursion below zero within a step
+    # goes unnoticed. Shorter steps make that less likely; `_missed` reports some that remain.
     span, interval = float(e.t[-1] - e.t[0]), float(np.diff(e.t).max())
-    return min(span / LEAST, interval / 2)
+    return min(span / MIN_CHECKS, interval / 2)
 
 
 def _trajectory(
@@ -170,6 +188,7 @@ def _trajectory(
     record: Recorded,
     armed: np.ndarray,
 ) -> Trajectory:
+    """Build the trajectory, cut off where an event, or a missed event, ended the run."""
     model, e = watch.model, watch.experiment
     n, last = _reached(result), min(record.t_stop, record.t_endless)
     if last <= e.t[n - 1]:
@@ -180,7 +199,8 @@ def _trajectory(
         if outcome is Outcome.endless_events:
             report = (
                 f"{outcome.value}: {record.total} events up to t = {last:.9g} s, the last "
-                f"{CROWD} within {CLOSE:g} of the run, the last '{events[-1].name}'"
+                f"{CROWD} within {CLOSE:g} of the run, the last '{events[-1].name}'; give the "
+                "effects smoothing, or let an event stop the run"
             )
         stats["t_failed"] = last
         return assemble(model, e, result.x[:n], result.z[:n], outcome, report, stats, events)
@@ -190,8 +210,8 @@ def _trajectory(
         n, outcome = missed[0], Outcome.solver_failed
         stats["t_failed"] = float(e.t[n])
         report = (
-            f"{outcome.value}: event '{missed[1]}' was missed before t = {e.t[n]:.9g} s; what "
-            "comes fast near rest escapes CasADi's methods; use Idas() or Dop853()"
+            f"{outcome.value}: event '{missed[1]}' was missed before t = {e.t[n]:.9g} s; CasADi's "
+            "methods notice only a change from + to - over a step; use Idas() or Dop853()"
         )
         return assemble(model, e, x[:n], z[:n], outcome, report, stats, record.events)
     if not result.failed and n == len(e.t):
@@ -202,7 +222,10 @@ def _trajectory(
     )
     if endless:
         outcome, stats["t_failed"] = Outcome.endless_events, float(endless[2])
-        report = f"{outcome.value}: {endless[1]} events up to t = {endless[2]} s"
+        report = (
+            f"{outcome.value}: {endless[1]} events up to t = {endless[2]} s; give the effects "
+            "smoothing, or let an event stop the run"
+        )
     else:
         verdict = judge(result)
         outcome, stats["t_failed"] = verdict.outcome, float(e.t[n - 1])

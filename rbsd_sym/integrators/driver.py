@@ -1,4 +1,4 @@
-"""CasADi's integrators behind one call: time-varying inputs, partial results, statistics."""
+"""Runs of CasADi's integrators: time-varying inputs, partial results, statistics, reports."""
 
 from __future__ import annotations
 
@@ -13,19 +13,29 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..model.casadi_events import tidy
+from ..model.casadi_events import clean_data
 from ..model.model import Model
 from ..model.signals import Samples, Signal, evaluate, is_constant, raise_of_user, symbolic
 from ..model.trajectory import Column, Outcome, Trajectory
 from ..model.values import Experiment
 
-_OUTPUT = threading.Lock()  # redirection is for the whole process
-_ROUNDS = 3  # of Newton's method at saved points, from values good to the tolerance
-_SETTLED = 1e-10  # last step, relative to the unknowns
+# Redirection of standard output acts on the whole process, so only one thread may use it at a time.
+_OUTPUT = threading.Lock()
+# Newton iterations for z at saved points, whose values are already good to the tolerance.
+_ROUNDS = 3
+# Last Newton step relative to 1 + |z|, below which z is accepted.
+_SETTLED = 1e-10
 
 
 class Run(NamedTuple):
-    """Raw result: x (n, n_x), z (n, n_z) with NaN rows after a failure, messages, statistics."""
+    """Raw result of CasADi's integrator.
+
+    Fields:
+        x, z: (n, n_x), (n, n_z) at the output times, the start included; NaN rows after a failure.
+        failed: whether the integrator reported an error.
+        messages: what CasADi and SUNDIALS printed.
+        stats: statistics by CasADi's names.
+    """
 
     x: np.ndarray
     z: np.ndarray
@@ -35,7 +45,7 @@ class Run(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What an integrator makes of a failed run: the outcome, the time if known, advice."""
+    """An integrator's reading of a failed run: the outcome, the time in s if known, advice."""
 
     outcome: Outcome
     t: float | None
@@ -51,15 +61,28 @@ def run(
     count: Mapping[str, str],
     with_rates: Callable[[list[float]], Mapping[str, Any]] | None = None,
 ) -> Trajectory:
-    """Integrate with a CasADi plugin.
+    """Integrate a model without events by a CasADi plugin.
+
+    Solves for a consistent start, integrates, solves the algebraic unknowns again at the output
+    times, and turns a failure into an outcome with a report.
 
     Arguments:
-        with_rates: more options, from the rates at the consistent start of a model with unknowns.
+        plugin: CasADi's name of the method: "idas", "rosenbrock", "erk", "rk", "collocation".
+        options: of the plugin, by CasADi's names.
         judge: reads the outcome from a failed run.
-        count: names of the statistics we report and of the plugin's own.
+        count: for each statistic in `trajectory.stats` its name in the plugin.
+        with_rates: returns more options, given the rates (n_x) at the consistent start; it is
+            called for models with algebraic unknowns.
+
+    Returns:
+        The trajectory, up to the failure if there was one.
+
+    Raises:
+        ValueError: CasADi refuses an option, or a user's input function raised an error.
     """
     started = time.perf_counter()
-    if model.n_x + model.n_z == 0:  # nothing in the scene can move
+    # Nothing in the scene can move.
+    if model.n_x + model.n_z == 0:
         still = np.zeros((len(experiment.t), 0))
         end = Outcome.reached_end
         return assemble(model, experiment, still, still, end, end.value, {"time": 0.0})
@@ -92,10 +115,10 @@ def run(
 def _integrator(
     model: Model, experiment: Experiment, plugin: str, options: Mapping[str, Any]
 ) -> tuple[ca.Function, list[Any]]:
-    """The integrator Function, and what it calls back, which must live as long.
+    """Return the integrator Function, and the callbacks in it, which must be kept as long.
 
     It is kept with the model for the next run of the same kind, unless an input is a function,
-    which may answer differently next time, or the start is part of the options.
+    which may return other values next time, or the start is part of the options.
     """
     inputs, grid = experiment.inputs, [float(t) for t in experiment.t]
     fixed = all(is_constant(s) for s in inputs) and "init_xdot" not in options
@@ -117,21 +140,31 @@ def _integrator(
 
 
 def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dict[str, Any]:
-    """CasADi's DAE, and `u`: constant inputs are parameters after p, the others functions of time.
+    """Build a DAE in CasADi's form: a dict of "t", "x", "z", "p", "ode", "alg", and "u".
+
+    Constant inputs become parameters after p, so that an integrator serves all their values; the
+    others become expressions of t, or calls back into Python. "u" are the inputs as expressions,
+    which `ca.integrator` must not be given.
 
     Arguments:
-        kept: is given what must live as long as the result.
+        inputs: one signal for each input of the model.
+        kept: list to which callbacks are appended; the caller must keep it as long as the result.
+
+    Returns:
+        SX expressions where all inputs are traced and the model is flat, MX otherwise.
     """
     dae = model.dae
     traced = [symbolic(signal, dae.t) for signal in inputs]
     constant = [dae.u[i] for i, s in enumerate(inputs) if is_constant(s)]
     p = ca.vertcat(dae.p, *constant)
     all_traced = all(e is not None or is_constant(s) for s, e in zip(inputs, traced, strict=True))
+    # One flat SX expression is the fastest to evaluate. A kernel or a call back into Python needs
+    # an MX graph around it.
     if all_traced and not model.calls:
         u = ca.vertcat(
             ca.SX(0, 1), *(dae.u[i] if expr is None else expr for i, expr in enumerate(traced))
         )
-        given = [dae.u, dae.x], [u, tidy(model, dae.x)]
+        given = [dae.u, dae.x], [u, clean_data(model, dae.x)]
         ode, alg = ca.substitute([dae.ode, dae.alg], *given)
         return {"t": dae.t, "x": dae.x, "z": dae.z, "p": p, "ode": ode, "alg": alg, "u": u}
     t, x, z = ca.MX.sym("t"), ca.MX.sym("x", model.n_x), ca.MX.sym("z", model.n_z)
@@ -146,7 +179,7 @@ def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dic
         else:
             entries.append(evaluate(signal, t, kept))
     u = ca.vertcat(*entries)
-    arguments = (t, tidy(model, x), z, u, q[: model.n_p])
+    arguments = (t, clean_data(model, x), z, u, q[: model.n_p])
     return {
         "t": t,
         "x": x,
@@ -159,7 +192,14 @@ def casadi_dae(model: Model, inputs: tuple[Signal, ...], kept: list[Any]) -> dic
 
 
 def call_integrator(integrator: ca.Function, experiment: Experiment) -> Run:
-    """Call through buffers, which CasADi fills row by row: a failure keeps what came before."""
+    """Evaluate an integrator Function for an experiment, and keep what it reached on failure.
+
+    Arguments:
+        integrator: from `ca.integrator`, over the output times of the experiment.
+        experiment: its parameters and constant inputs become the integrator's parameters.
+    """
+    # CasADi fills the memory of a buffer output time by output time, so that after a failure the
+    # rows before it are there. An ordinary call raises an exception and returns nothing.
     n = len(experiment.t) - 1
     constant = [float(s) for s in experiment.inputs if is_constant(s)]  # type: ignore[arg-type]
     arguments = {
@@ -180,6 +220,7 @@ def call_integrator(integrator: ca.Function, experiment: Experiment) -> Run:
         if value.size:
             buffer.set_res(integrator.index_out(key), value.data)
     messages, failed = io.StringIO(), False
+    # SUNDIALS prints the reason of a failure, which is in no return value.
     with _OUTPUT, contextlib.redirect_stderr(messages), contextlib.redirect_stdout(messages):
         try:
             evaluate_buffer()
@@ -235,7 +276,13 @@ def failure_report(
     t_fail: float | None,
     advice: str,
 ) -> str:
-    """The full sentence about a run that failed: where, what state, what to do."""
+    """Return a sentence about a run that failed: when, the fastest state there, what to do.
+
+    Arguments:
+        x, z: states and unknowns saved before the failure, (k, n_x) and (k, n_z), k at least 1.
+        t_fail: time of the failure in s, or None if unknown.
+        advice: what to change; it ends the sentence.
+    """
     t_last = float(e.t[max(len(x), 1) - 1])
     at = f"after t = {t_last:.9g} s" if t_fail is None else f"at t = {t_fail:.9g} s"
     where = _fastest(model, e, x[-1], z[-1], t_last)
@@ -243,7 +290,7 @@ def failure_report(
 
 
 def _fastest(model: Model, e: Experiment, x: np.ndarray, z: np.ndarray, t: float) -> str:
-    """The state with the largest rate, which usually names the culprit."""
+    """Describe the state with the largest rate, which is usually where the failure comes from."""
     u = input_values(e.inputs, np.array([t]))
     rates = np.array(model.function("ode")(t, x, z, u, e.p)).reshape(-1)
     i = int(np.argmax(np.where(np.isfinite(rates), np.abs(rates), np.inf)))
@@ -252,7 +299,11 @@ def _fastest(model: Model, e: Experiment, x: np.ndarray, z: np.ndarray, t: float
 
 
 def input_values(inputs: tuple[Signal, ...], t: np.ndarray) -> np.ndarray:
-    """Inputs over time (n_u, n)."""
+    """Evaluate the inputs at times t (n,), s.
+
+    Returns:
+        Values (n_u, n).
+    """
     rows = []
     for signal in inputs:
         if isinstance(signal, Samples):
@@ -274,7 +325,14 @@ def assemble(
     stats: Mapping[str, float | str],
     events: Sequence[tuple[float, str]] = (),
 ) -> Trajectory:
-    """A `Trajectory` from its states (n, n_x) and (n, n_z), and what happened at which time."""
+    """Build a `Trajectory` from the states of a run.
+
+    Arguments:
+        experiment: its first n output times belong to the states.
+        x, z: states (n, n_x) and algebraic unknowns (n, n_z).
+        outcome, report: how the run ended, and the sentence about it.
+        events: (time in s, name) of each event.
+    """
     dae, t = model.dae, experiment.t[: len(x)]
     columns = {label.name: Column(x[:, i], label.unit) for i, label in enumerate(dae.x_labels)}
     columns |= {label.name: Column(z[:, i], label.unit) for i, label in enumerate(dae.z_labels)}
@@ -302,13 +360,21 @@ def assemble(
 
 
 def consistent_start(model: Model, e: Experiment) -> tuple[np.ndarray, bool]:
-    """Z that solves alg = 0 at the start, by Newton's method from the given z."""
+    """Solve alg = 0 at the start of an experiment, by Newton's method from its z.
+
+    Returns:
+        z (n_z,), and whether it is a solution.
+    """
     u = input_values(e.inputs, e.t[:1])[:, 0]
     return model.consistent(float(e.t[0]), e.x, e.z, u, e.p)
 
 
 def consistent(model: Model, e: Experiment) -> Experiment | Trajectory:
-    """The experiment with unknowns that solve alg = 0, or the end of a run without any."""
+    """Return the experiment with a z that solves alg = 0 at the start.
+
+    If there is none near the given z, return the trajectory of a run that ends at its start, with
+    the outcome `not_consistent`.
+    """
     if not model.n_z:
         return e
     z, found = consistent_start(model, e)
@@ -316,14 +382,20 @@ def consistent(model: Model, e: Experiment) -> Experiment | Trajectory:
 
 
 def settle(model: Model, e: Experiment, result: Run) -> None:
-    """Solve alg = 0 again at the saved points: between its steps an integrator interpolates z.
+    """Solve alg = 0 at the saved points of a run, in place.
 
-    All points at once by Newton's method, those where it does not settle one by one.
+    Between its steps an integrator interpolates z, which then does not solve its equations.
+
+    Arguments:
+        result: its z is overwritten, up to the first row that is not finite; where no solution is
+            found, a point keeps its z.
     """
     n = int(np.isfinite(result.x).all(axis=1).argmin()) or len(e.t)
     u, p = input_values(e.inputs, e.t[:n]), np.repeat(e.p[:, None], n, axis=1)
     t, x, z = e.t[None, :n], result.x[:n].T, result.z[:n].T.copy()
     size = np.full(n, np.inf)
+    # Newton's method at all points at once, by mapped functions; where it does not converge, the
+    # safeguarded one of the model, point by point.
     for _ in range(_ROUNDS):
         r = np.array(model.function("alg")(t, x, z, u, p)).T
         J = np.array(ca.DM(model.function("dalg_dz")(t, x, z, u, p)))
@@ -342,7 +414,7 @@ def settle(model: Model, e: Experiment, result: Run) -> None:
 
 
 def _quasi_static(model: Model, e: Experiment, started: float) -> Trajectory:
-    """A model without states: alg = 0 at each time, each from the one before."""
+    """Solve alg = 0 at each output time, from the solution before, for a model without states."""
     u, z = input_values(e.inputs, e.t), [e.z]
     for k in range(1, len(e.t)):
         value, found = model.consistent(float(e.t[k]), e.x, z[-1], u[:, k], e.p)
@@ -354,8 +426,8 @@ def _quasi_static(model: Model, e: Experiment, started: float) -> Trajectory:
         end.value
         if end.ok
         else (
-            f"no balance found at t = {e.t[len(z)]:.9g} s, near the one before; give closer times, "
-            "or inertia, if it jumps there"
+            f"no balance found at t = {e.t[len(z)]:.9g} s near the one before; give closer output "
+            "times, or give the bodies inertia if they jump there"
         )
     )
     stats = {"time": time.perf_counter() - started}
@@ -363,7 +435,7 @@ def _quasi_static(model: Model, e: Experiment, started: float) -> Trajectory:
 
 
 def not_consistent(model: Model, e: Experiment) -> Trajectory:
-    """A `Trajectory` of the start alone, whose algebraic unknowns could not be solved."""
+    """Return a `Trajectory` of the start alone, whose algebraic unknowns could not be solved."""
     advice = "; give start values of the algebraic unknowns near a solution (start={name: value})"
     outcome = Outcome.not_consistent
     return assemble(model, e, e.x[None, :], e.z[None, :], outcome, outcome.value + advice, {})

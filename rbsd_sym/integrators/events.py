@@ -1,20 +1,21 @@
-"""Events along a run: which are watched, when they happen, in which order.
+"""Events along a run: when they fire, and in which order.
 
 The rules, for all integrators:
 
-- An event fires as its function falls through zero. Functions are known with their exact time
-  derivatives at the points where one looks; between two of them their cubic tells of a crossing
-  that the ends do not show.
-- A function that is zero (to rounding) at the start, or after an event, counts on the side to which
-  it moves; one that does not move counts as above.
-- An event that may fire `at_once` also does so where the start, or another event, leaves its
-  function below zero; any other one must have been above zero again before it can fire.
-- Events at one instant happen in the order of the model's list. After each the algebraic unknowns
-  are solved again and all events looked at anew. An event that has fired must have been above zero
-  again before it can fire once more.
-- Events without end end the run: ten instants within 1e-10 of it, thirty within 1e-6, a thousand
-  within 1e-4, or a thousand events at one instant. So do changes of data by a post-Newton step that
-  have to be searched for: two hundred within a thousandth of it.
+- An event fires where its function falls through zero. The functions and their exact time
+  derivatives are evaluated at check points along the run; the cubic through two neighbouring points
+  shows a crossing between them that their signs do not show.
+- A function that is zero (to rounding) at the start, or after an event, counts as being on the side
+  to which it moves; one that does not move counts as above.
+- An event fires only while it is armed. It is armed where its function is above zero, and spent
+  once it has fired or another event has put its function below zero. An event with `at_once` is
+  armed at the start even below zero, stays armed where another event puts its function below zero,
+  and then fires at once.
+- Events at one instant fire in the order of the model's list. After each one the algebraic unknowns
+  are solved again, and all events are checked again.
+- Endless events end the run: ten instants with events within 1e-10 of the run, thirty within 1e-6,
+  a thousand within 1e-4, or a thousand events at one instant. So do changes of data by post-Newton
+  steps whose times have to be searched for: two hundred within a thousandth of the run.
 """
 
 from __future__ import annotations
@@ -26,24 +27,38 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..model.casadi_events import BAND, CLOSE, CROWD, INSTANT, Happened
+from ..model.casadi_events import BAND, CLOSE, CROWD, INSTANT, Fired
 from ..model.model import Model
 from ..model.signals import is_constant
 from ..model.trajectory import Outcome
 from ..model.values import Experiment
 from .driver import input_values
 
-_CROWDS = ((CROWD, CLOSE), (30, 1e-6), (1000, 1e-4))  # instants, and their share of a run
-SEARCHED = (*_CROWDS, (200, 1e-3))  # of changes of data
-_FOUND = 1e-9  # a function that does not jump is nearer to zero where it was found to cross it
-_DIFFERENCE = 1e-7  # of the run, for the rate of an input
+# So many instants with events within such a fraction of the run are endless.
+_CROWDS = ((CROWD, CLOSE), (30, 1e-6), (1000, 1e-4))
+# The same for changes of data by post-Newton steps, whose times are searched for.
+SEARCHED = (*_CROWDS, (200, 1e-3))
+# A continuous function is smaller than this where its crossing was located; a larger value is a
+# jump of the function.
+_FOUND = 1e-9
+# Half the difference in time for the rate of an input, as a fraction of the run.
+_DIFFERENCE = 1e-7
+# Events at one instant, at most.
 _AT_ONCE = 1000
-_DEPTH = 6  # halvings in search of a crossing that the ends do not show
-_REFINED = 150  # looks in search of one crossing
+# Depth of the search for a crossing that the signs at the ends do not show.
+_DEPTH = 6
+# Iterations in search of one crossing.
+_REFINED = 150
 
 
 class Instant(NamedTuple):
-    """A state of the run, and there the functions of the events and their rates."""
+    """A check point of a run: the state, and the functions of the events.
+
+    Fields:
+        t: s.
+        x, z: states (n_x,) and algebraic unknowns (n_z,).
+        zero, rate: functions of the events (n_events,) and their rates per s.
+    """
 
     t: float
     x: np.ndarray
@@ -53,7 +68,7 @@ class Instant(NamedTuple):
 
 
 class EventsDoNotEnd(Exception):
-    """Events that follow each other without end; `report` tells how many, and when."""
+    """Events follow each other without end; `report` says how many, and when."""
 
     def __init__(self, t: float, report: str) -> None:
         super().__init__(report)
@@ -61,28 +76,35 @@ class EventsDoNotEnd(Exception):
 
 
 class Stopped(Exception):
-    """An event that ends the run, and the point after it."""
+    """An event ends the run; `point` is the point after it."""
 
     def __init__(self, point: Instant, name: str) -> None:
         self.point, self.name = point, name
 
 
 class Inconsistent(Exception):
-    """No algebraic unknowns after an event."""
+    """No algebraic unknowns solve their equations after an event, at time `t`."""
 
     def __init__(self, t: float) -> None:
         self.t = t
 
 
 class Lost(Exception):
-    """The state could not be computed on the way to an event."""
+    """The state at time `t` could not be computed in search of an event."""
 
     def __init__(self, t: float) -> None:
         self.t = t
 
 
 class SegmentEnd(NamedTuple):
-    """How a walk ended: no outcome but a failed run if IDAS failed; the last point, if known."""
+    """How a run, or a part of it, ended.
+
+    Fields:
+        outcome: None if IDAS failed; then `failed` is its `Run`, which says why.
+        t: time at the end, s.
+        report: sentence about the end; "" for the outcome's own.
+        point: the last point, if the run ended at an event.
+    """
 
     outcome: Outcome | None
     t: float
@@ -92,7 +114,11 @@ class SegmentEnd(NamedTuple):
 
 
 def guarded(go: Callable[[], Any]) -> Any:
-    """What `go` returns, or the `SegmentEnd` that an event makes of it."""
+    """Call `go`, and turn the exceptions of this module into a `SegmentEnd`.
+
+    Returns:
+        What `go` returns, or how an event, or the search for it, ended the run.
+    """
     try:
         return go()
     except EventsDoNotEnd as endless:
@@ -104,36 +130,44 @@ def guarded(go: Callable[[], Any]) -> Any:
         return SegmentEnd(outcome, t, report, point=stopped.point)
     except Inconsistent as lost:
         outcome = Outcome.not_consistent
-        return SegmentEnd(outcome, lost.t, f"{outcome.value} after an event at t = {lost.t:.9g} s")
+        report = (
+            f"{outcome.value} after an event at t = {lost.t:.9g} s; check what the event changes, "
+            "or give the bodies without mass inertia"
+        )
+        return SegmentEnd(outcome, lost.t, report)
     except Lost as lost:
         outcome = Outcome.solver_failed
         report = (
             f"{outcome.value} in search of an event before t = {lost.t:.9g} s; tighten the "
-            "tolerances, or look for a singularity there"
+            "tolerances, or check for a singularity there"
         )
         return SegmentEnd(outcome, lost.t, report)
 
 
 Advance = Callable[[Instant, float], tuple[np.ndarray, np.ndarray] | None]
-"""(point, t) -> x, z at the later time t, or None if that fails."""
+"""(point, t) -> x, z at the later time t (s), or None if that fails."""
 
 
 @dataclass(eq=False)
 class Watch:
-    """The events of a model along one run.
+    """The events of a model along one run: which are armed, and which have fired.
+
+    A method calls `begin` at the start; for each step `search` between the points at its ends, and
+    if that finds an event `fire`, from which point the method starts again.
 
     Fields:
-        happened: what has fired so far.
-        armed: whether each event would fire as it falls; kept up to date by `begin` and `pass_on`.
-        at_once: whether each event may fire at once.
+        fired: the events that have fired so far.
+        armed: (n_events,) whether each event fires when its function next falls through zero.
+        at_once: (n_events,) whether each event also fires where it is put below zero.
+        instant: s; times closer than this are one.
 
     Raises:
-        ValueError: the model has events and no states.
+        ValueError: the model has events, but no states.
     """
 
     model: Model
     experiment: Experiment
-    happened: list[Happened] = field(default_factory=list)
+    fired: list[Fired] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         e, events = self.experiment, self.model.dae.events
@@ -142,6 +176,7 @@ class Watch:
                 f"model '{self.model.name}': events, but nothing moves, so that no states are "
                 "left; compile it with minimal=False"
             )
+        # A fraction of the run, but no less than the rounding of the time itself.
         self.instant = INSTANT * float(e.t[-1] - e.t[0]) + 4 * np.finfo(float).eps * abs(e.t[-1])
         self.armed = np.zeros(len(events), bool)
         self.at_once = np.array([event.at_once for event in events], bool)
@@ -150,12 +185,15 @@ class Watch:
         self._floor = np.zeros(len(events))
         self._functions = tuple(self.model.function(f) for f in ("zero", "zero_rate", "jump"))
 
-    def look(self, t: float, x: np.ndarray, z: np.ndarray) -> Instant:
-        """The point with its functions and rates."""
-        return self.look_at(np.array([t]), x[None, :], z[None, :])[0]
+    def check(self, t: float, x: np.ndarray, z: np.ndarray) -> Instant:
+        """Evaluate the functions of the events at one point."""
+        return self.check_all(np.array([t]), x[None, :], z[None, :])[0]
 
-    def look_at(self, t: np.ndarray, x: np.ndarray, z: np.ndarray) -> list[Instant]:
-        """Points at times (n,), states (n, n_x) and unknowns (n, n_z)."""
+    def check_all(self, t: np.ndarray, x: np.ndarray, z: np.ndarray) -> list[Instant]:
+        """Evaluate the functions of the events at times (n,), states (n, n_x), unknowns (n, n_z).
+
+        Rates include those of varying inputs; a rate that is not finite counts as 0.
+        """
         if not t.size:
             return []
         u = input_values(self.experiment.inputs, t)
@@ -170,7 +208,7 @@ class Watch:
     def _by_inputs(
         self, t: np.ndarray, x: np.ndarray, z: np.ndarray, u: np.ndarray, p: np.ndarray
     ) -> np.ndarray:
-        """What moving inputs add to the rates, by differences."""
+        """Return what varying inputs add to the rates (n_events, n), by central differences."""
         step = _DIFFERENCE * float(self.experiment.t[-1] - self.experiment.t[0])
         inputs = self.experiment.inputs
         moves = (input_values(inputs, t + step) - input_values(inputs, t - step)) / (2 * step)
@@ -179,26 +217,35 @@ class Watch:
         return np.einsum("eku,uk->ke", slope, moves)
 
     def begin(self, t: float, x: np.ndarray, z: np.ndarray) -> Instant:
-        """The first point, after what fires there at once.
+        """Arm the events at the start, fire those that are due, and return the point after them.
 
         Raises:
-            EventsDoNotEnd, Stopped, Inconsistent: see there.
+            EventsDoNotEnd, Stopped, Inconsistent: an event has ended the run.
         """
-        point = self.look(t, x, z)
+        point = self.check(t, x, z)
         self.armed = self.at_once | self._above(point)
         return self._cascade(point, [])
 
     def pass_on(self, point: Instant) -> None:
-        """Take note of functions that have come above zero."""
+        """Arm the events whose functions are above zero at a point."""
         self.armed |= point.zero > 0
 
     def search(
         self, a: Instant, b: Instant, advance: Advance, depth: int = _DEPTH
     ) -> Instant | None:
-        """The point of the first event between two points, if there is one.
+        """Find the first event between two points; return None if there is none.
+
+        Arguments:
+            a, b: neighbouring points, a before b.
+            advance: computes the state between them, from a.
+            depth: how often the interval may still be divided for crossings that the signs at its
+                ends do not show.
+
+        Returns:
+            The point just behind the crossing, before anything has fired.
 
         Raises:
-            Lost: see there.
+            Lost: a state between the points could not be computed.
         """
         if self.crossing(b):
             return self.locate(a, b, advance)
@@ -211,26 +258,28 @@ class Watch:
         return found if found is not None else self.search(middle, b, advance, depth - 1)
 
     def reach(self, a: Instant, t: float, advance: Advance) -> Instant:
-        """The point at a time.
+        """Advance from a to time t (s), and check the events there.
 
         Raises:
-            Lost: the way there fails.
+            Lost: the state at t could not be computed.
         """
         state = advance(a, t)
         if state is None:
             raise Lost(t)
-        return self.look(t, *state)
+        return self.check(t, *state)
 
     def crossing(self, b: Instant) -> bool:
-        """Whether an event has fired before a point, as far as it shows."""
+        """Return whether an armed event has its function below zero at a point."""
         return bool((self.armed & (b.zero < -self._floor)).any())
 
     def hidden(self, a: Instant, b: Instant) -> float | None:
-        """A time between at which a function may have crossed zero and come back, if any.
+        """Return a time at which a function may have crossed zero and come back, or None.
 
-        That of the extremum of a cubic which lies on the other side of both ends.
+        It is the time of an extremum of the cubic through both ends, with both rates, which lies on
+        the other side of zero.
         """
-        # A cubic stays within 4/27 of the rates' way of its smaller end.
+        # The part of a Hermite cubic that comes from the end rates is at most 4/27 of h times each
+        # of them, and the rest lies between the end values. Functions farther from 0 are skipped.
         reach = (b.t - a.t) * (np.abs(a.rate) + np.abs(b.rate)) * 4 / 27
         near = np.minimum(np.abs(a.zero), np.abs(b.zero)) <= reach
         for i in np.flatnonzero(near & ((a.zero < 0) == (b.zero < 0))):
@@ -242,21 +291,24 @@ class Watch:
         return None
 
     def locate(self, a: Instant, b: Instant, advance: Advance) -> Instant:
-        """The first point at which an armed event has crossed, to an instant.
+        """Find the first point at which an armed event has crossed zero, to within an instant.
 
-        [a, b] holds a crossing. The roots of cubics close in on it, halvings where they do not.
+        The interval [a, b] must hold a crossing. It is narrowed by roots of cubics, and halved
+        where these do not help.
 
         Raises:
-            Lost: see there.
+            Lost: a state between the points could not be computed.
         """
         left, right, slow = a, b, 0
         for _ in range(_REFINED):
             width = right.t - left.t
             if width <= self.instant:
                 break
+            # Two iterations in a row that did not halve the interval: the function is not like a
+            # cubic here, and bisection is sure to make progress.
             if slow < 2:
                 guess = _first_root(left, right, self.armed, self._floor)
-                # At an end, look just beyond it, to have the crossing between both.
+                # A guess at an end is moved inwards, so that the interval shrinks around the root.
                 guess = max(left.t + self.instant / 2, min(guess, right.t - self.instant / 2))
             else:
                 guess, slow = (left.t + right.t) / 2, 0
@@ -269,12 +321,15 @@ class Watch:
         return right
 
     def fire(self, point: Instant) -> Instant:
-        """What happens at a point that `locate` has found.
+        """Fire the events at a point that `search` has found, and return the point after them.
 
         Raises:
-            EventsDoNotEnd, Stopped, Inconsistent: see there.
+            EventsDoNotEnd, Stopped, Inconsistent: an event has ended the run.
         """
-        self.armed |= self._above(point)  # also what has just come up, and may turn back
+        # Includes functions that came above zero since the last check and fall again here.
+        self.armed |= self._above(point)
+        # Rounding keeps a continuous function off zero where its crossing was located. Twice this
+        # remainder counts as zero from now on, so that the same crossing is not found again.
         first = self.armed & (point.zero <= self._width(point))
         found = first & (np.abs(point.zero) <= _FOUND)
         excess = 2 * (np.abs(point.zero[found]) - self._floor[found])
@@ -284,10 +339,14 @@ class Watch:
         return point
 
     def count(self, t: float, crowds: Sequence[tuple[int, float]] = _CROWDS) -> None:
-        """Count an instant at which something happened.
+        """Count an instant with an event or a change of data.
+
+        Arguments:
+            t: s.
+            crowds: pairs (number of instants, fraction of the run) that count as endless.
 
         Raises:
-            EventsDoNotEnd: too many, too close.
+            EventsDoNotEnd: too many instants are too close.
         """
         self._instants.append(t)
         run = float(self.experiment.t[-1] - self.experiment.t[0])
@@ -298,7 +357,11 @@ class Watch:
                 raise self._endless(t, how)
 
     def _cascade(self, point: Instant, due: list[int]) -> Instant:
-        """Fire what is due, in order, until nothing is."""
+        """Fire the events that are due, in order, until none is.
+
+        Arguments:
+            due: indices of events to fire first, without another check.
+        """
         for _ in range(_AT_ONCE):
             due = due or list(np.flatnonzero(self._due(point)))
             if not due:
@@ -307,19 +370,23 @@ class Watch:
         raise self._endless(point.t, f"{_AT_ONCE} of them at once")
 
     def _endless(self, t: float, how: str) -> EventsDoNotEnd:
-        last = f", the last '{self.happened[-1].name}'" if self.happened else " (changes of data)"
-        number = len(self.happened) or len(self._instants)
-        return EventsDoNotEnd(t, f"{number} events up to t = {t:.9g} s, {how}{last}")
+        last = f", the last '{self.fired[-1].name}'" if self.fired else " (changes of data)"
+        number = len(self.fired) or len(self._instants)
+        remedy = "raise the tolerance of PostNewton"
+        if self.fired:
+            remedy = "give the effects smoothing, or let an event stop the run"
+        return EventsDoNotEnd(t, f"{number} events up to t = {t:.9g} s, {how}{last}; {remedy}")
 
     def _fired(self, point: Instant, i: int) -> Instant:
+        """Fire event i, and return the point after it."""
         t, x = point.t, point.x
         u, p = self.inputs(t), self.experiment.p
         jump = np.array(self._functions[2](t, x, point.z, u, p)[:, i]).reshape(-1)
-        self.happened.append(Happened(t, self.model.events[i]))
+        self.fired.append(Fired(t, self.model.events[i]))
         z, consistent = point.z, True
         if self.model.n_z:
             z, consistent = self.model.consistent(t, x + jump, z, u, p)
-        after = self.look(t, x + jump, z)
+        after = self.check(t, x + jump, z)
         if not consistent:
             raise Inconsistent(t)
         above = self._above(after)
@@ -332,34 +399,40 @@ class Watch:
         return after
 
     def _width(self, point: Instant) -> np.ndarray:
-        """What counts as zero: some instants of its motion, and the rounding at its last event."""
+        """Return the size (n_events,) below which a function counts as zero.
+
+        It is the change within a few instants, or the rounding found where it last crossed zero.
+        """
         return np.maximum(BAND * self.instant * np.abs(point.rate), 2 * self._floor)
 
     def _above(self, point: Instant) -> np.ndarray:
-        """Events whose function is above zero, or on it and not about to fall."""
+        """Return which functions are above zero, or at zero and not falling."""
         width = self._width(point)
         return (point.zero > width) | ((point.zero >= -width) & (point.rate >= 0))
 
     def _due(self, point: Instant) -> np.ndarray:
-        """Armed events that fire now."""
+        """Return which armed events fire now."""
         width = self._width(point)
         falls = (np.abs(point.zero) <= width) & (point.rate < 0)
         return self.armed & (falls | (self.at_once & (point.zero < -width)))
 
     def inputs(self, t: float) -> np.ndarray:
-        """Values of the inputs."""
+        """Return the values (n_u,) of the inputs at time t (s)."""
         return input_values(self.experiment.inputs, np.array([t]))[:, 0]
 
 
 def _coefficients(a: Instant, b: Instant, i: int) -> tuple[float, float, float, float]:
-    """The cubic through two values with two rates, over s = 0 ... 1."""
+    """Return the coefficients c of the Hermite cubic of function i between two points.
+
+    c[0] + c[1] s + c[2] s^2 + c[3] s^3 over s = 0 ... 1 has the values and rates of both ends.
+    """
     h = b.t - a.t
     f0, f1, d0, d1 = a.zero[i], b.zero[i], h * a.rate[i], h * b.rate[i]
     return f0, d0, 3 * (f1 - f0) - 2 * d0 - d1, 2 * (f0 - f1) + d0 + d1
 
 
 def _extremum(a: Instant, b: Instant, i: int) -> float | None:
-    """Where the cubic has crossed zero and comes back, if it does."""
+    """Return the s in 0 ... 1 of an extremum of the cubic on the other side of zero, or None."""
     c = _coefficients(a, b, i)
     slope = np.roots([3 * c[3], 2 * c[2], c[1]])
     for s in sorted(float(root.real) for root in slope if abs(root.imag) < 1e-12):
@@ -369,7 +442,7 @@ def _extremum(a: Instant, b: Instant, i: int) -> float | None:
 
 
 def _first_root(a: Instant, b: Instant, armed: np.ndarray, floor: np.ndarray) -> float:
-    """The earliest time at which the cubic of a crossing function falls below -floor."""
+    """Return the earliest time at which the cubic of an armed function falls below -floor."""
     first = 1.0
     for i in np.flatnonzero(armed & (b.zero < -floor)):
         c = _coefficients(a, b, int(i))
@@ -381,7 +454,7 @@ def _first_root(a: Instant, b: Instant, armed: np.ndarray, floor: np.ndarray) ->
 
 
 def _roots(c: tuple[float, float, float, float]) -> list[float]:
-    """Real roots of c[0] + c[1] s + c[2] s^2 + c[3] s^3."""
+    """Return the real roots of c[0] + c[1] s + c[2] s^2 + c[3] s^3."""
     largest = max(map(abs, c))
     # A leading coefficient of rounding alone would cost the other roots their digits.
     kept = [k for k in range(4) if abs(c[k]) > 1e-13 * largest]
@@ -390,6 +463,7 @@ def _roots(c: tuple[float, float, float, float]) -> list[float]:
     roots = np.roots(c[kept[-1] :: -1])
     found = []
     for root in (float(r.real) for r in roots if abs(r.imag) < 1e-9):
+        # One Newton step removes the rounding of the eigenvalue solver behind np.roots.
         value = c[0] + root * (c[1] + root * (c[2] + root * c[3]))
         slope = c[1] + root * (2 * c[2] + 3 * root * c[3])
         found.append(root - value / slope if slope else root)

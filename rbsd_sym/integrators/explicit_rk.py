@@ -22,13 +22,24 @@ from .options import (
 
 @dataclass(frozen=True)
 class ExplicitRK:
-    """Explicit, adaptive, dense output of order 4; the step is bound by the stiffest connector.
+    """CasADi's explicit Runge-Kutta pair of order 5(4), with adaptive steps.
+
+    For models that are not stiff: the stiffest connector limits its steps. It has dense output of
+    order 4 and locates events; `export_simulator` writes it to C.
+
+    Limits: algebraic unknowns and post-Newton steps are not supported, and events are noticed only
+    where their function changes from + to - over a step.
 
     Arguments:
-        rtol, atol: relative and absolute local error of each state.
+        rtol, atol: relative and absolute local error of each state (SI units).
         max_steps: within one output interval.
-        max_step: s; None leaves it free.
-        options: more of CasADi's options for the plugin, by their names.
+        max_step: s; None sets no limit.
+        options: more of CasADi's options for the plugin, by their names; they take precedence.
+
+    Raises:
+        ValueError: an option out of its range.
+
+    >>> simulate(model, 2.0, ExplicitRK(rtol=1e-6, atol=1e-8))  # doctest: +SKIP
     """
 
     rtol: float = 1e-8
@@ -44,14 +55,18 @@ class ExplicitRK:
 
     @property
     def casadi_options(self) -> Mapping[str, Any]:
-        """Options of the plugin, without the tolerances."""
+        """CasADi's options for the plugin, without the tolerances."""
         return runge_kutta_options(self)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
-        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.
+        """Integrate an experiment.
+
+        Returns:
+            The trajectory, up to the failure if there was one, which is its `outcome`.
 
         Raises:
-            ValueError: the model has algebraic unknowns or post-Newton steps.
+            ValueError: the model has algebraic unknowns or post-Newton steps, or a user's input
+                function raised an error.
         """
         refuse_unknowns(model)
         refuse_updates(model, type(self).__name__)

@@ -22,29 +22,33 @@ from .events import SegmentEnd, guarded
 from .post_newton import PostNewton
 
 _EPSILON = float(np.finfo(float).eps)
-_SLACK = 1e-6  # by how much of itself a step may be longer than asked for, to fit an interval
-_FINEST = 1024  # parts of a fixed step, where Newton's method needs shorter ones
-_GROWTH = 2.0  # of a step, at most
+# A step may be longer than asked for by this fraction, to fit an output interval.
+_SLACK = 1e-6
+# A fixed step is divided into this many at most, where Newton's method needs shorter ones.
+_FINEST = 1024
+# Growth from one step to the next, at most.
+_GROWTH = 2.0
 _ADVICE = {
     Outcome.too_many_steps: "raise max_steps, or take longer steps",
-    Outcome.step_too_small: "look for a singularity or a discontinuity there, or loosen the "
+    Outcome.step_too_small: "check for a singularity or a discontinuity there, or loosen the "
     "tolerances",
-    Outcome.solver_failed: "Newton's method finds no end of the step, however short; look for a "
+    Outcome.solver_failed: "Newton's method does not converge, however short the step; check for a "
     "discontinuity there, or raise newton_tolerance",
     Outcome.not_finite: "check parameters and start values",
 }
 
 
 class State(NamedTuple):
-    """Where the integration is.
+    """The state of the method after a step.
 
     Fields:
-        t, lag: time, and what rounding has kept from it in a long sum of steps, s.
-        x, z: states and algebraic unknowns.
-        rate, a: for each state its rate, of a velocity the acceleration, and the method's own a;
-            zero where none is kept (`alpha_step`).
+        t: time, s.
+        lag: rounding error of t after a long sum of steps, s (compensated summation).
+        x, z: states (n_x,) and algebraic unknowns (n_z,).
+        rate: (n_x,) rate of each state (of a velocity the acceleration); zero where none is stored.
+        a: (n_x,) the method's own approximation of the rates (see `alpha_step`).
         h: the step that led here, s; 0 at a start.
-        bend: change of the rate over that step, by h.
+        bend: (n_x,) change of the rate over that step, divided by h.
     """
 
     t: float
@@ -58,10 +62,18 @@ class State(NamedTuple):
 
 
 class Stepper:
-    """Single steps: `start` gives a `State`, `try_step` the next one.
+    """Single steps of generalized-alpha: `start` returns a `State`, `try_step` the next one.
 
-    To accept a step is to go on from it: trying changes nothing but counters, so that a step may be
-    cut, repeated with other data states, or left. After a jump of x or its rates, start again.
+    Trying a step changes nothing but counters: a step may be shortened, repeated with other data
+    states, or rejected, and is accepted by going on from its result. After a jump of x or of its
+    rates call `start` again.
+
+    Arguments:
+        spectral_radius: at infinite frequency, 0 ... 1.
+        tolerance: of Newton's method, as `newton_tolerance` of `GeneralizedAlpha`.
+
+    Fields:
+        tried, iterations: number of steps tried, and of all their Newton iterations.
     """
 
     def __init__(
@@ -85,11 +97,20 @@ class Stepper:
                 self._buffer.set_res(i, memoryview(value))  # type: ignore[arg-type]
 
     def inputs(self, t: float) -> np.ndarray:
-        """Values of the inputs."""
+        """Return the values (n_u,) of the inputs at time t (s)."""
         return input_values(self.experiment.inputs, np.array([t]))[:, 0]
 
     def start(self, t: float, x: np.ndarray, z: np.ndarray) -> State | Outcome:
-        """The state to start from; z need only be near a solution."""
+        """Return the state to start from, with consistent z and rates.
+
+        Arguments:
+            t: s.
+            x: states (n_x,).
+            z: algebraic unknowns (n_z,), near a solution.
+
+        Returns:
+            The state, or the outcome `not_consistent` or `not_finite`.
+        """
         model, u, p = self.model, self.inputs(t), self.experiment.p
         z, found = model.consistent(t, x, z, u, p)
         if not found:
@@ -100,17 +121,20 @@ class Stepper:
         return State(t, 0.0, x, z, rate, rate, 0.0, np.zeros_like(rate))
 
     def try_step(self, s: State, h: float, data: np.ndarray | None = None) -> State | Outcome:
-        """The state a step of h further on, or why there is none.
+        """Return the state after a step, or the outcome that says why there is none.
 
-        Steps may vary. The a of a state is the rate at a time shifted by a share of the step that
-        led to it; where the next one is longer by d, velocities take ((1 - rho)/(1 + rho))^2/2 h d
-        v'' of it, which is of first order only where steps keep jumping. Scaling a - rate by the
-        ratio of the steps would undo that, but lets stiff oscillations grow (by 1.26 a round with
-        steps as 8 4 2 1 2 4 and rho = 0.9).
+        Steps may vary in length.
 
         Arguments:
-            data: values of the data states during this step, if they are to change.
+            s: state before the step.
+            h: length of the step, s.
+            data: values of the data states during this step; by default those of s.
         """
+        # The a of a state is the rate at a time shifted by a fraction of the step that led to it.
+        # If the next step is longer by d, velocities get an error of
+        # ((1 - rho)/(1 + rho))^2/2 h d v'', which is of first order only where steps keep changing.
+        # Scaling a - rate by the ratio of the steps would remove it, but lets stiff oscillations
+        # grow (by 1.26 in each cycle of steps 8 4 2 1 2 4 with rho = 0.9).
         self._in[0][0], self._in[1][0] = s.t, h
         for given, value in zip(self._in[2:], (s.x, s.rate, s.a, s.z), strict=False):
             given[:] = value
@@ -126,6 +150,7 @@ class Stepper:
             return Outcome.solver_failed if np.isfinite(size[0]) else Outcome.not_finite
         if not (np.isfinite(x).all() and np.isfinite(z).all() and np.isfinite(rate).all()):
             return Outcome.not_finite
+        # Compensated summation: what t + h loses by rounding is added to the next step.
         passed, bend = h + s.lag, (rate - s.rate) / h
         t = s.t + passed
         lag = passed - (t - s.t)
@@ -134,33 +159,38 @@ class Stepper:
 
 @dataclass(frozen=True)
 class GeneralizedAlpha:
-    """Order 2, unconditionally stable, with the damping of high frequencies to be chosen.
+    """Generalized-alpha: order 2, unconditionally stable, with selectable numerical damping.
 
     [Chung, Hulbert 1993] with the recursion of [Arnold, Bruels 2007], on the Lie group of positions
-    and rotations [Bruels, Cardona 2010]: a step turns a body by a rotation vector, so that
-    quaternions stay units and angles keep their digits. States of first order follow
-    [Jansen, Whiting, Hulbert 2000]; algebraic unknowns solve their equations at the end of a step.
+    and rotations [Bruels, Cardona 2010]: a step rotates a body by a rotation vector, so that
+    quaternions keep their norm and angles their digits. States of first order follow [Jansen,
+    Whiting, Hulbert 2000]; algebraic unknowns solve their equations at the end of each step.
 
-    Without tolerances steps are fixed: the interval between two output times is cut into the fewest
-    equal steps that are not longer than `step`. Where Newton's method does not find the end of a
-    step, shorter ones are taken; `rejected_steps` counts them.
+    Without tolerances steps are fixed: the interval between two output times is divided into the
+    fewest equal steps that are not longer than `step`. Where Newton's method does not converge,
+    shorter steps are taken, and counted in `stats["rejected_steps"]`.
 
-    With tolerances `step` is the first one, and the local error of each is estimated: that of
+    With tolerances `step` is the first step, and the local error of each one is estimated: that of
     coordinates from the change of the acceleration [Zienkiewicz, Xie 1991], that of states of first
     order from divided differences of their rates, as in circuit simulators [Nagel 1975], both with
-    the constants of this method. Velocities are not looked at: that would resolve every stiff
-    vibration, which this method is there to step over.
+    the constants of this method. Errors of velocities are not controlled: that would resolve every
+    stiff vibration, which this method is meant to step over.
 
     Arguments:
         step: s.
-        spectral_radius: what a step leaves of an oscillation much faster than the step, 0 ... 1.
-            1 is the trapezoidal rule, which damps nothing; 0 damps most.
-        rtol, atol: relative and absolute local error of coordinates and of states of first order;
-            both or none.
-        post_newton: how far post-Newton steps are resolved (`integrators.post_newton`).
-        newton_tolerance: last correction of Newton's method, relative to 1 + |value| in SI units.
-            Convergence is quadratic: the error left is about its square.
-        max_steps: in all, those rejected too.
+        spectral_radius: factor by which a step reduces an oscillation much faster than the step,
+            0 ... 1. 1 is the trapezoidal rule, which damps nothing; 0 damps most.
+        rtol, atol: relative and absolute local error of coordinates and of states of first order
+            (SI units); give both or neither.
+        newton_tolerance: largest last correction of Newton's method, relative to 1 + |value| in SI
+            units. Convergence is quadratic: the error left is about its square.
+        post_newton: how far post-Newton steps are resolved.
+        max_steps: in the whole run, including rejected steps.
+
+    Raises:
+        ValueError: an argument out of its range, or only one of rtol and atol.
+
+    >>> simulate(model, 2.0, GeneralizedAlpha(1e-3, spectral_radius=0.8))  # doctest: +SKIP
     """
 
     step: float
@@ -176,7 +206,7 @@ class GeneralizedAlpha:
         _check("step", self.step, 0.0, math.inf, " s")
         if not (_is_real(self.spectral_radius) and 0 <= self.spectral_radius <= 1):
             raise ValueError(
-                f"GeneralizedAlpha: spectral_radius {self.spectral_radius!r}; it is a number in "
+                f"GeneralizedAlpha: spectral_radius {self.spectral_radius!r}; give a number in "
                 "0 ... 1"
             )
         if (self.rtol is None) != (self.atol is None):
@@ -190,18 +220,26 @@ class GeneralizedAlpha:
         _check("newton_tolerance", self.newton_tolerance, 1e-15, 1e-3)
         if not isinstance(self.max_steps, int) or not self.max_steps > 0:
             raise ValueError(
-                f"GeneralizedAlpha: max_steps {self.max_steps!r}; it is a whole number above 0"
+                f"GeneralizedAlpha: max_steps {self.max_steps!r}; give a whole number above 0"
             )
 
     def step_function(self, model: Model) -> ca.Function:
-        """One step as a CasADi Function, which generates to C; see `alpha_step.step_function`."""
+        """Return one step as a CasADi Function, which can be generated to C.
+
+        Its arguments and results are described at `integrators.alpha_step.step_function`.
+        """
         return step_function(model, self.spectral_radius, self.newton_tolerance)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
-        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`."""
+        """Integrate an experiment.
+
+        Returns:
+            The trajectory, up to the failure if there was one, which is its `outcome`.
+        """
         started = time.perf_counter()
         run = _AlphaRun(experiment, self.step)
-        if model.n_x + model.n_z == 0:  # nothing in the scene can move
+        # Nothing in the scene can move.
+        if model.n_x + model.n_z == 0:
             end = Outcome.reached_end
             return assemble(model, experiment, run.x, run.z, end, end.value, {"time": 0.0})
         stepper = Stepper(model, experiment, self.spectral_radius, self.newton_tolerance)
@@ -216,19 +254,20 @@ class GeneralizedAlpha:
             "steps": float(run.steps),
             "rejected_steps": float(run.rejected),
             "newton_iterations": float(stepper.iterations),
-            "events": float(len(switch.watch.happened)),
+            "events": float(len(switch.watch.fired)),
             "time": time.perf_counter() - built,
             "time_build": built - started,
         }
-        n, report = max(run.saved, 1), outcome.value  # the start is kept, whatever it is
+        # The start is always part of the trajectory.
+        n, report = max(run.saved, 1), outcome.value
         x, z = run.x[:n], run.z[:n]
         if isinstance(end, SegmentEnd):
             stats["t_failed"], report = end.t, end.report
         elif not outcome.ok:
             stats["t_failed"] = run.t
             report = _report(model, experiment, x, z, outcome, run.t)
-        happened = switch.watch.happened
-        return assemble(model, experiment, x, z, outcome, report, stats, happened)
+        fired = switch.watch.fired
+        return assemble(model, experiment, x, z, outcome, report, stats, fired)
 
     def _integrate(self, stepper: Stepper, run: _AlphaRun, switch: Switch) -> Outcome:
         start = stepper.start(run.t, run.x[0], run.z[0])
@@ -243,8 +282,9 @@ class GeneralizedAlpha:
                 if run.steps + run.rejected >= self.max_steps:
                     return Outcome.too_many_steps
                 new = self._step(stepper, run, state, float(target), errors, switch)
-                went = isinstance(new, State) and new is not state  # else the step was rejected
-                point = switch.after(state, new) if went else None
+                # A rejected step returns the old state.
+                accepted = isinstance(new, State) and new is not state
+                point = switch.after(state, new) if accepted else None
                 if point is not None:
                     new = stepper.start(point.t, point.x, point.z)
                 if isinstance(new, Outcome):
@@ -268,11 +308,20 @@ class GeneralizedAlpha:
         errors: _Errors | None,
         switch: Switch,
     ) -> State | Outcome:
-        """The next state on the way to an output time, or the old one after a step rejected."""
+        """Take one step towards an output time.
+
+        Arguments:
+            s: state before the step.
+            target: next output time, s.
+            errors: estimates for steps that adapt; None for fixed steps.
+
+        Returns:
+            The next state, s itself if the step was rejected, or the outcome of a failure.
+        """
         left = target - s.t - s.lag
-        parts = max(1, math.ceil(left / run.wish - _SLACK))
+        parts = max(1, math.ceil(left / run.proposed - _SLACK))
         h = left / parts
-        shortest = 16 * _EPSILON * run.reach if errors else self.step / _FINEST
+        shortest = 16 * _EPSILON * run.latest if errors else self.step / _FINEST
         new, shorter = switch.solved(s, h)
         if shorter is not None:
             run.reject(shorter)
@@ -281,15 +330,17 @@ class GeneralizedAlpha:
             run.reject(0.25 * h if errors else 0.5 * h)
             return new if h <= shortest else s
         if errors is None:
-            run.accept(min(self.step, 2 * run.wish, switch.wish))
+            run.accept(min(self.step, 2 * run.proposed, switch.proposed))
         else:
             error = errors.of(s, new)
+            # The local error is of order h^3; 0.9 is a margin.
             best = h * 0.9 * max(error, 1e-9) ** (-1 / 3)
             if not error <= 1:
                 run.reject(max(0.2 * h, best) if np.isfinite(error) else 0.2 * h)
                 return Outcome.step_too_small if h <= shortest else s
             growth = 1.0 if run.shrunk else _GROWTH
-            run.accept(min(best, growth * run.wish, switch.wish))
+            run.accept(min(best, growth * run.proposed, switch.proposed))
+        # The last step of an interval ends on the output time exactly.
         return new._replace(t=target, lag=0.0) if parts == 1 else new
 
 
@@ -299,8 +350,8 @@ def _is_real(value: object) -> bool:
 
 def _check(name: str, value: object, low: float, high: float, unit: str = "") -> None:
     if not (_is_real(value) and low < value < high):  # type: ignore[operator]
-        rule = "positive and finite" if high == math.inf else f"a number in {low:g} ... {high:g}"
-        raise ValueError(f"GeneralizedAlpha: {name} {value!r}{unit}; it is {rule}")
+        rule = "positive, finite number" if high == math.inf else f"number in {low:g} ... {high:g}"
+        raise ValueError(f"GeneralizedAlpha: {name} {value!r}{unit}; give a {rule}")
 
 
 def _report(
@@ -312,32 +363,32 @@ def _report(
 
 
 class _AlphaRun:
-    """Where the integration is, the points saved so far, and the step it would like to take."""
+    """State of the integration: time, points saved so far, and the step proposed next."""
 
     def __init__(self, experiment: Experiment, step: float) -> None:
         self.times, n = experiment.t, len(experiment.t)
-        self.t, self.wish, self.shrunk = float(experiment.t[0]), step, False
-        self.reach = float(np.abs(experiment.t[[0, -1]]).max())
+        self.t, self.proposed, self.shrunk = float(experiment.t[0]), step, False
+        self.latest = float(np.abs(experiment.t[[0, -1]]).max())
         self.saved, self.steps, self.rejected = 0, 0, 0
         self.x, self.z = np.zeros((n, experiment.x.size)), np.zeros((n, experiment.z.size))
         self.x[0], self.z[0] = experiment.x, experiment.z
 
     def save(self, s: State) -> None:
-        """Keep the state at the next output time."""
+        """Store the state at the next output time."""
         self.x[self.saved], self.z[self.saved] = s.x, s.z
         self.saved += 1
 
-    def accept(self, wish: float) -> None:
-        """Count a step, and wish for the next."""
-        self.steps, self.wish, self.shrunk = self.steps + 1, wish, False
+    def accept(self, proposed: float) -> None:
+        """Count a step, and store the length proposed for the next one, s."""
+        self.steps, self.proposed, self.shrunk = self.steps + 1, proposed, False
 
-    def reject(self, wish: float) -> None:
-        """Count a rejected step, and wish for a shorter one."""
-        self.rejected, self.wish, self.shrunk = self.rejected + 1, wish, True
+    def reject(self, proposed: float) -> None:
+        """Count a rejected step, and store the shorter one proposed, s."""
+        self.rejected, self.proposed, self.shrunk = self.rejected + 1, proposed, True
 
 
 class _Errors:
-    """Local errors relative to the tolerances: of coordinates and of states of first order."""
+    """Local errors of coordinates and of first-order states, relative to the tolerances."""
 
     def __init__(self, model: Model, rho: float, rtol: float, atol: float) -> None:
         moved = Groups(model.dae).moved
@@ -350,21 +401,23 @@ class _Errors:
         self._constants = np.abs(constants)
         self._slots = [part.slot for part in moved]
         self._second = np.array([part.second for part in moved], bool)
-        self._beside = _padded([part.beside for part in moved])
+        self._scale_rows = _padded([part.scale_rows for part in moved])
 
     def of(self, s: State, new: State) -> float:
-        """The largest; 1 is as large as may be."""
+        """Return the largest error of a step; up to 1 the step is accepted."""
         if not self._slots:
             return 0.0
         h, bend = new.h, new.bend[self._slots]
-        # Without a step before, one order less: the first step is then rather too short.
+        # The error of a coordinate is a multiple of h^3 v'', that of a first-order state of h^3
+        # y'''. The third derivative is a divided difference over this step and the one before; at a
+        # start, bend / h overestimates it, which makes the first step rather too short.
         third = 2 * (bend - s.bend[self._slots]) / (h + s.h) if s.h else bend / h
         errors = self._constants * h**3 * np.abs(np.where(self._second, bend, third))
         size = self._atol + self._rtol * np.maximum(np.abs(s.x), np.abs(new.x))
-        return float((errors / size[self._beside].max(axis=1)).max())
+        return float((errors / size[self._scale_rows].max(axis=1)).max())
 
 
 def _padded(rows: list[tuple[int, ...]]) -> np.ndarray:
-    """Rows of unequal length as a matrix, the first entry of each repeated."""
+    """Return rows of unequal length as a matrix, with the first entry of each row repeated."""
     n = max((len(row) for row in rows), default=1)
     return np.array([row + row[:1] * (n - len(row)) for row in rows], int).reshape(-1, n)

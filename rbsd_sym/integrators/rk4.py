@@ -13,10 +13,19 @@ from .options import check_fixed_step, elements_of, refuse_events, refuse_unknow
 
 @dataclass(frozen=True)
 class RK4:
-    """Fixed steps; unstable where step times frequency exceeds 2.83 without damping.
+    """The classical explicit Runge-Kutta method of order 4, with fixed steps.
+
+    For models that are not stiff: without damping it is unstable where the step times the angular
+    frequency exceeds 2.83. Algebraic unknowns and events are not supported, and the error is not
+    controlled: repeat the run with half the step to see it.
 
     Arguments:
-        step: s; intervals between output times are cut into equal steps not longer than this.
+        step: s; intervals between output times are divided into equal steps, not longer than this.
+
+    Raises:
+        ValueError: a step that is not positive and finite.
+
+    >>> simulate(model, 2.0, RK4(1e-3))  # doctest: +SKIP
     """
 
     step: float
@@ -25,10 +34,13 @@ class RK4:
         check_fixed_step(self)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
-        """Integrate; values that are not finite end the `Trajectory` there.
+        """Integrate an experiment.
+
+        Returns:
+            The trajectory, up to the first value that is not finite.
 
         Raises:
-            ValueError: the model has algebraic unknowns, or events.
+            ValueError: the model has algebraic unknowns, events or post-Newton steps.
         """
         refuse_unknowns(model)
         refuse_events(model, type(self).__name__)
@@ -37,4 +49,4 @@ class RK4:
 
 
 def _judge(result: Run) -> Verdict:
-    return Verdict(Outcome.not_finite, None, "take shorter steps")
+    return Verdict(Outcome.not_finite, None, "give a shorter step")

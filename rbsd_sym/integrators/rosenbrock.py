@@ -16,13 +16,24 @@ from .options import check_options, judge_runge_kutta, refuse_updates, runge_kut
 
 @dataclass(frozen=True)
 class Rosenbrock:
-    """Linearly implicit, L-stable, 8 stages, one exact Jacobian a step, dense output of order 4.
+    """CasADi's Rosenbrock method of order 5(4), linearly implicit, with adaptive steps.
+
+    For stiff models, also with algebraic unknowns and events. L-stable, with 8 stages, one exact
+    Jacobian per step and dense output of order 4. `export_simulator` writes it to C.
+
+    Limits: events are noticed only where their function changes from + to - over a step, and
+    post-Newton steps are not supported.
 
     Arguments:
-        rtol, atol: relative and absolute local error of each state.
+        rtol, atol: relative and absolute local error of each state (SI units).
         max_steps: within one output interval.
-        max_step: s; None leaves it free.
-        options: more of CasADi's options for the plugin, by their names.
+        max_step: s; None sets no limit.
+        options: more of CasADi's options for the plugin, by their names; they take precedence.
+
+    Raises:
+        ValueError: an option out of its range.
+
+    >>> simulate(model, 2.0, Rosenbrock(rtol=1e-6, atol=1e-8))  # doctest: +SKIP
     """
 
     rtol: float = 1e-8
@@ -38,14 +49,17 @@ class Rosenbrock:
 
     @property
     def casadi_options(self) -> Mapping[str, Any]:
-        """Options of the plugin, without the tolerances."""
+        """CasADi's options for the plugin, without the tolerances."""
         return runge_kutta_options(self)
 
     def solve(self, model: Model, experiment: Experiment) -> Trajectory:
-        """Integrate; a failure is a `Trajectory` up to it with its `Outcome`.
+        """Integrate an experiment.
+
+        Returns:
+            The trajectory, up to the failure if there was one, which is its `outcome`.
 
         Raises:
-            ValueError: the model has post-Newton steps.
+            ValueError: the model has post-Newton steps, or a user's input function raised an error.
         """
         refuse_updates(model, type(self).__name__)
         options = {"reltol": self.rtol, "abstol": self.atol, **self.casadi_options}

@@ -1,1 +1,1 @@
-"""A Dae as functions with exact derivatives, and the values they are called with."""
+"""Functions of a Dae with exact derivatives, and the values they are called with."""

@@ -1,6 +1,7 @@
-"""Values of Inputs over time: numbers, samples and functions, checked once, then evaluated.
+"""Values of Inputs over time: numbers, samples and functions of t, checked once, then evaluated.
 
-Inside an integrator a function is traced with a symbol where that is possible, or called.
+Inside an integrator a user's function becomes an expression where it accepts a symbol for t;
+otherwise CasADi calls it back with numbers.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ class Samples:
     """An input given by samples: linear between them, constant before the first and after the last.
 
     Arguments:
-        t: increasing times (n,), s.
-        values: (n,).
+        t: increasing times (n,), s, at least two.
+        values: finite values (n,), in the unit of the Input.
     """
 
     t: np.ndarray
@@ -29,26 +30,31 @@ class Samples:
 
 
 Signal: TypeAlias = Union[float, Samples, Callable[[Any], Any]]
-"""The checked value of an Input."""
+"""The value of an Input after `signal_of` has checked it."""
 
 InputValue: TypeAlias = Union[
     float, Samples, Callable[[Any], Any], tuple[Sequence[float] | np.ndarray, ...]
 ]
-"""What a user may give for an Input: a number, a function of t (s), samples (times, values)."""
+"""What a user may give for an Input: a number, a function of t in s, samples (times, values)."""
 
 Inputs: TypeAlias = Mapping[str, InputValue]
 """Values of Inputs by name."""
 
 
 def signal_of(value: Any, where: str, unit: str) -> Signal:
-    """Check the value of an Input.
+    """Check what a user gave as the value of an Input, and return it as a `Signal`.
 
     Arguments:
-        value: a number, a function of t (s), `Samples` or a pair (times, values) of samples.
-        where, unit: of the Input, for messages.
+        value: a number, a function of t in s, `Samples`, or a pair (times, values) of samples,
+            times in s and increasing.
+        where: text that begins the message, such as "model 'arm', input 'pull'".
+        unit: of the Input, for the message.
 
     Raises:
-        ValueError: it is none of them, or not finite.
+        ValueError: the value is none of these, or not finite.
+
+    >>> signal_of(2, "input 'pull'", "N")
+    2.0
     """
     if callable(value):
         return value
@@ -66,57 +72,68 @@ def signal_of(value: Any, where: str, unit: str) -> Signal:
     good = t.ndim == 1 and t.shape == samples.shape and len(t) > 1 and bool((np.diff(t) > 0).all())
     if not good or not (np.isfinite(t).all() and np.isfinite(samples).all()):
         raise ValueError(
-            f"{where}: samples of shape {t.shape} and {samples.shape}; times increase, values are "
-            "finite, both have one length of at least 2"
+            f"{where}: samples of shape {t.shape} and {samples.shape}; give increasing times and "
+            "finite values, both of one length of at least 2"
         )
     return Samples(t, samples)
 
 
 def value_at(signal: Any, t: float) -> Any:
-    """Value at time t (s) of a signal."""
+    """Return the value of a signal at time t in s."""
     if isinstance(signal, Samples):
         return float(np.interp(t, signal.t, signal.values))
     return signal(t) if callable(signal) else signal
 
 
 def is_constant(signal: Signal) -> bool:
-    """Whether the input is one number."""
+    """Return whether the input is one number for the whole run."""
     return is_number(signal)
 
 
 def symbolic(signal: Signal, t: ca.SX) -> ca.SX | None:
-    """The input as an expression of t, if it is a function that takes a symbol; else None.
+    """Return the input as an expression of t if it is a function that accepts a symbol, else None.
 
-    A traced function is exact and as fast as the model itself. One that branches on t, or calls
-    what knows only floats, cannot be traced.
+    The user's function is called once with a symbol in place of the time. A traced function has
+    exact derivatives and runs as fast as the model itself. A function that branches on t with `if`,
+    or calls code for floats only, cannot be traced.
+
+    Arguments:
+        signal: the checked value of an Input.
+        t: the SX symbol of the time in s.
 
     Raises:
-        ValueError: it uses a Param or Input, which has no value outside the model.
+        ValueError: the function uses a Param or Input, which has no value outside the model.
     """
     if not callable(signal):
         return None
+    # Any exception may come from a user's function that cannot handle a symbol. It says nothing
+    # about the function's behaviour with floats, so it only means "not traceable".
     try:
         value = signal(Scalar(t))
-    except Exception:  # whatever a user's function raises on a symbol, floats may still do
+    except Exception:
         return None
     if leaves_of(value):
         names = ", ".join(sorted(leaf.name for leaf in leaves_of(value)))
         raise ValueError(
             f"input function {getattr(signal, '__name__', signal)!r}: uses the symbol {names}; it "
-            "returns a number; give the value, or make the expression part of the scene"
+            "must return a number; use the symbol's value, or write the expression into the scene"
         )
     return to_expr(value) if is_number(value) else None
 
 
 def evaluate(signal: Signal, t: ca.MX, kept: list[Any]) -> ca.MX:
-    """The input at time t in an MX graph: interpolated samples, or a call back into Python.
+    """Return the input at time t in an MX graph: interpolated samples, or a call back into Python.
 
     Arguments:
-        kept: is given what must live as long as the graph, since CasADi holds no reference to it.
+        signal: `Samples`, or a function that `symbolic` could not trace.
+        t: MX symbol of the time, s.
+        kept: list to which the callback is appended. The caller must keep it as long as the graph,
+            since CasADi holds no reference to it.
     """
     if isinstance(signal, Samples):
         times, values = [float(v) for v in signal.t], [float(v) for v in signal.values]
         table = ca.interpolant("samples", "linear", [times], values)
+        # CasADi extrapolates linearly; clipping t keeps the value constant outside the samples.
         return table(ca.fmin(ca.fmax(t, times[0]), times[-1]))
     call = _PythonCall(signal)  # type: ignore[arg-type]
     kept.append(call)
@@ -124,10 +141,15 @@ def evaluate(signal: Signal, t: ca.MX, kept: list[Any]) -> ca.MX:
 
 
 def raise_of_user(kept: list[Any]) -> None:
-    """Raise what a user's input function raised during the integration, if anything.
+    """Raise the error, if any, that a user's input function raised during the integration.
+
+    CasADi only reports that an evaluation failed.
+
+    Arguments:
+        kept: callbacks, as filled by `evaluate`.
 
     Raises:
-        ValueError: from the user's exception.
+        ValueError: with the user's exception as its cause.
     """
     for call in kept:
         error = getattr(call, "error", None)
@@ -135,17 +157,19 @@ def raise_of_user(kept: list[Any]) -> None:
             call.error = None
             raise ValueError(
                 f"input function {getattr(call.signal, '__name__', call.signal)!r}: "
-                f"{type(error).__name__}: {error}; it takes a time in s and returns one number"
+                f"{type(error).__name__}: {error}; give a function that takes a time in s and "
+                "returns one number for all times of the run"
             ) from error
 
 
 class _PythonCall(ca.Callback):
-    """A Python function of time; its derivative, which only Rosenbrock asks for, by differences."""
+    """A Python function of time as a CasADi Function."""
 
     def __init__(self, signal: Callable[[float], float]) -> None:
         ca.Callback.__init__(self)
         self.signal = signal
         self.error: Exception | None = None
+        # Rosenbrock methods need the derivative by t, for which finite differences must do.
         self.construct("signal", {"enable_fd": True})
 
     def get_n_in(self) -> int:
@@ -158,5 +182,6 @@ class _PythonCall(ca.Callback):
         try:
             return [float(self.signal(float(arg[0])))]
         except Exception as error:
-            self.error = error  # CasADi turns it into a failed evaluation; the driver raises it
+            # CasADi turns the exception into a failed evaluation; `raise_of_user` raises it again.
+            self.error = error
             raise

@@ -1,4 +1,4 @@
-"""What comes out of an integrator: named columns over time in plain numpy, saved and loaded."""
+"""The result of an integration: named columns over time in plain numpy, saved and loaded."""
 
 from __future__ import annotations
 
@@ -24,7 +24,16 @@ _FORMAT = 1
 
 
 class Outcome(Enum):
-    """How an integration ended; the value is the message."""
+    """How an integration ended; the value of a member is its message.
+
+    `simulate(..., throw=False)` returns a failure as data in `trajectory.outcome`, and
+    `trajectory.report` says when and why it happened and what to do. `ok` is true of `reached_end`,
+    `event` (an event with `stops` ended the run) and `unstable_across_reduction` (the trajectory is
+    complete, but a motion that the minimal model left out is unstable).
+
+    >>> Outcome.event.ok, Outcome.solver_failed.ok
+    (True, False)
+    """
 
     reached_end = "reached the end"
     event = "stopped at an event"
@@ -38,14 +47,14 @@ class Outcome(Enum):
 
     @property
     def ok(self) -> bool:
-        """Whether the trajectory is complete."""
+        """Whether the trajectory is complete: it reached the end, or an event that stops it."""
         complete = (Outcome.reached_end, Outcome.event, Outcome.unstable_across_reduction)
         return self in complete
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Values of one quantity over time (n, ...) and its unit."""
+    """Values (n, ...) of one quantity at n times, its unit, and the names of its components."""
 
     values: np.ndarray
     unit: str
@@ -54,22 +63,29 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """States, inputs and outputs over time.
+    """States, inputs and outputs over time, in SI units.
 
     `trajectory["arm.position"]` is an array of shape (n, 3), `trajectory["arm.p_x"]` a state (n,),
-    `trajectory["pull"]` an input or a parameter. Outputs that nobody asked for yet are evaluated on
-    demand while the model is at hand; a saved file holds those that were.
+    `trajectory["pull"]` an input or a parameter. Outputs are evaluated when they are first asked
+    for, which needs the model: a trajectory loaded from a file, or sent from another process, holds
+    only the outputs that were evaluated before.
 
     Fields:
+        name: of the model.
         t: (n,) s, up to the failure if there was one.
-        columns: states, algebraic unknowns, inputs, and outputs evaluated so far.
-        outcome, report: how it ended, and the full sentence with time, state and advice.
-        stats: steps, evaluations, time in s, the linear solver.
-        parameters: values used.
-        digest: of the model.
-        also: states the model left out; evaluated on demand, and always saved.
-        events: (time in s, name) of each event, in the order in which they happened.
-        aliases: more names of columns, each with the name that the column has.
+        columns: states, algebraic unknowns, inputs, and the outputs evaluated so far, by name.
+        outcome, report: how the run ended, and a sentence with time, state and advice.
+        stats: number of steps, evaluations and so on, the time spent in s, the linear solver.
+        parameters: values used, by name.
+        states: names of the states and algebraic unknowns.
+        digest: of the model (`Model.digest`).
+        more: evaluates further columns; None without a model.
+        also: names of the states that the model left out; evaluated on demand, and always saved.
+        events: (time in s, name) of each event, in the order in which they fired.
+        aliases: further names of columns, each with the name of its column.
+
+    >>> trajectory = simulate(model, 2.0)                             # doctest: +SKIP
+    >>> trajectory["arm.position"][-1], trajectory.state_at_end       # doctest: +SKIP
     """
 
     name: str
@@ -89,14 +105,14 @@ class Trajectory:
     aliases: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is sent to other processes: the columns evaluated so far, not the model."""
+        """Return what is pickled for other processes: all fields, but without the model."""
         return {**self.__dict__, "more": None}
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.column(name).values
 
     def __iter__(self) -> Iterator[str]:
-        """Names of the columns it holds; outputs join them when they are first asked for."""
+        """Iterate over the names of the columns held; outputs join them when first asked for."""
         return iter(tuple(self.columns))
 
     def __repr__(self) -> str:
@@ -109,12 +125,12 @@ class Trajectory:
         """Return columns as a pandas DataFrame over the time in s.
 
         Arguments:
-            names: of columns, also of outputs that are not evaluated yet; by default what the
-                trajectory holds. A vector becomes a column for each component.
+            names: of columns, including outputs not evaluated yet; by default all columns that the
+                trajectory holds. A vector becomes one column for each component.
 
         Raises:
             ImportError: pandas is not installed.
-            ValueError: no such column.
+            ValueError: there is no column of that name.
 
         >>> trajectory.to_pandas(["arm.position"])["arm.position_x"]  # doctest: +SKIP
         """
@@ -139,10 +155,14 @@ class Trajectory:
         return True
 
     def column(self, name: str) -> Column:
-        """Values, unit and component names of a column, evaluated if needed.
+        """Return values, unit and component names of a column, evaluated if needed.
+
+        Arguments:
+            name: of a state, algebraic unknown, input, parameter or output; a parameter becomes a
+                constant column.
 
         Raises:
-            ValueError: no such column.
+            ValueError: there is no column of that name.
         """
         name = self.aliases.get(name, name)
         if name not in self.columns and name in self.parameters:
@@ -151,10 +171,14 @@ class Trajectory:
         return self.columns[name]
 
     def evaluate(self, names: Sequence[str]) -> None:
-        """Evaluate columns together, which for many of them is much faster than one by one.
+        """Evaluate outputs together and keep them, much faster than one by one.
+
+        Arguments:
+            names: of outputs, or of columns that are held already.
 
         Raises:
-            ValueError: no such column.
+            ValueError: there is no column of that name, or it needs the model, which a loaded
+                trajectory does not have.
         """
         known = dict.fromkeys(self.aliases.get(name, name) for name in names)
         missing = [name for name in known if name not in self.columns]
@@ -164,22 +188,33 @@ class Trajectory:
             raise ValueError(
                 f"trajectory '{self.name}': no column '{missing[0]}'; it holds "
                 + ", ".join(self.columns)
+                + "; use one of these, or a trajectory that still has its model for other outputs"
             )
         self.columns.update(zip(missing, self.more(missing, self), strict=True))
 
     @property
     def state_at_end(self) -> dict[str, float]:
-        """Last value of each state and unknown by name, as `simulate(start=...)` takes it."""
+        """Last value of each state and algebraic unknown by name, for `simulate(start=...)`."""
         return {name: float(self.columns[name].values[-1]) for name in self.states}
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write one .npz file (no pickle), whole or not at all; the folder must exist.
+        """Write the trajectory to one .npz file, whole or not at all.
+
+        The file holds numbers and text (no pickle): all columns evaluated so far, and the states
+        that the model left out. The model itself is not saved.
+
+        Arguments:
+            path: of the file; ".npz" is appended if missing. The folder must exist.
+
+        Returns:
+            The path written.
 
         Raises:
             ValueError: the file cannot be written.
         """
         target = Path(path)
         target = target if target.suffix == ".npz" else target.with_name(target.name + ".npz")
+        # Later there is no model to compute the states that it left out.
         self.evaluate(self.also)
         header = {
             "format": _FORMAT,
@@ -203,10 +238,12 @@ class Trajectory:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Trajectory:
-        """Read what `save` wrote.
+        """Read a trajectory that `save` wrote.
+
+        It holds the columns that were saved; further outputs need the model.
 
         Raises:
-            ValueError: not such a file.
+            ValueError: the file cannot be read, or is not a trajectory of this format.
         """
         try:
             with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
@@ -219,7 +256,10 @@ class Trajectory:
                 }
                 t = file["t"]
         except (OSError, EOFError, KeyError, TypeError, ValueError, BadZipFile) as error:
-            raise ValueError(f"{path}: no trajectory of rbsd_sym ({error})") from error
+            raise ValueError(
+                f"{path}: not a trajectory of rbsd_sym ({error}); give a file that "
+                "Trajectory.save wrote"
+            ) from error
         return Trajectory(
             header["name"],
             t,

@@ -1,4 +1,4 @@
-"""From names and vectors to the values a model is called with: points, starts, experiments."""
+"""Values that a model is called with, from names and vectors: points, starts, experiments."""
 
 from __future__ import annotations
 
@@ -15,14 +15,29 @@ from .model import Model
 from .signals import Inputs, Signal, signal_of, value_at
 from .trajectory import Trajectory
 
-_LISTED = 30  # names in an error message
-_SAME = 1e-9  # of a run: two times that close are one
-_DEFAULT_INTERVALS = 200  # of a run of which only the end is given
+# Names listed in an error message, at most.
+_LISTED = 30
+# Times that differ by less, relative to 1 + |t|, are one.
+_SAME = 1e-9
+# Output intervals of a run of which only the end is given.
+_DEFAULT_INTERVALS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Values of t (s), x, z, u and p of a model; `idle` are parameters that affect outputs only."""
+    """Values of all arguments of a model's functions at one point, as numpy vectors in SI units.
+
+    `locate` makes one from names and values; `linearize` and `simulate(start=...)` take it.
+
+    Fields:
+        t: time, s.
+        x, z: states (n_x,) and algebraic unknowns (n_z,), in the order of their labels.
+        u, p: inputs (n_u,) and parameters (n_p,).
+        idle: parameters that affect only outputs which were not requested.
+
+    >>> point = locate(model, start={"arm.p_x": 0.1})         # doctest: +SKIP
+    >>> model.function("ode")(*point.arguments)               # doctest: +SKIP
+    """
 
     t: float
     x: np.ndarray
@@ -33,12 +48,12 @@ class Point:
 
     @property
     def arguments(self) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What every function of the model takes."""
+        """(t, x, z, u, p), the arguments of every function of the model."""
         return self.t, self.x, self.z, self.u, self.p
 
 
 class HasPoint(Protocol):
-    """What holds a point of a model, such as an `Equilibrium`."""
+    """A value that holds a point of a model, such as an `Equilibrium`."""
 
     @property
     def point(self) -> Point:
@@ -53,14 +68,14 @@ Start: TypeAlias = Union[Mapping[str, float], Point, HasPoint]
 """States to start from: values by name, or the states of a `Point` or an `Equilibrium`."""
 
 Where: TypeAlias = Union[Start, Trajectory, Sequence[float], np.ndarray, None]
-"""A place in the state space: a `Start`, a vector of states, a `Trajectory`; None is the start."""
+"""A point of the state space: a `Start`, a vector of states, a `Trajectory`; None is the start."""
 
 Times: TypeAlias = Union[float, Sequence[float], np.ndarray]
 """The end of a run in s, or its increasing output times, of which the first is the start."""
 
 
 class Given(TypedDict):
-    """What a run is given by name, to be handed on as keyword arguments."""
+    """Keyword arguments of a run, for functions that pass them on to `simulate`."""
 
     inputs: Inputs | None
     params: Params | None
@@ -69,9 +84,15 @@ class Given(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """What to integrate: output times (n,), start x, z, values p, and one signal for each input.
+    """An integration to be done, as checked vectors: what `Integrator.solve` takes with a model.
 
-    `idle` are values of parameters that affect outputs only.
+    Fields:
+        t: output times (n,), s, increasing; the first one is the start.
+        x, z: start values of states (n_x,) and algebraic unknowns (n_z,); z need only be near a
+            solution of alg = 0.
+        p: values of the parameters (n_p,).
+        inputs: one signal for each input, in the order of u.
+        idle: values of parameters that affect only outputs which were not requested.
     """
 
     t: np.ndarray
@@ -83,7 +104,11 @@ class Experiment:
 
 
 def as_model(value: Any, where: str) -> Model:
-    """Return the value if it is a model.
+    """Return the value if it is a `Model`.
+
+    Arguments:
+        value: what a caller passed as a model; a scene is the usual mistake.
+        where: name of the function that was called, for the message.
 
     Raises:
         TypeError: it is something else; the message says how to get a model.
@@ -103,13 +128,18 @@ def make_experiment(
 ) -> Experiment:
     """Turn times, and values by name, into the checked vectors of an `Experiment`.
 
+    Values that are not given keep their default; start values that depend on parameters follow the
+    values in `params`.
+
     Arguments:
         times: the end in s (from 0, in 200 intervals), or increasing output times.
         inputs, params, start: as in `simulate`.
 
     Raises:
-        TypeError: no model, or a start of another kind.
+        TypeError: `model` is not a model, or `start` is of an unknown kind.
         ValueError: unknown names, numbers that are not finite, times that do not increase.
+
+    >>> Idas().solve(model, make_experiment(model, 2.0))  # doctest: +SKIP
     """
     dae = as_model(model, "simulate").dae
     parameters = dae.parameters.labels
@@ -128,13 +158,13 @@ def make_experiment(
 def _grid(times: Times) -> np.ndarray:
     if is_number(times):
         if not (np.isfinite(float(times)) and float(times) > 0):  # type: ignore[arg-type]
-            raise ValueError(f"simulate: t_end {times} s; the end is positive and finite")
+            raise ValueError(f"simulate: t_end {times} s; give a positive, finite end time")
         return np.linspace(0.0, float(times), _DEFAULT_INTERVALS + 1)  # type: ignore[arg-type]
     grid = np.array(times, float)
     if grid.ndim != 1 or len(grid) < 2 or not np.isfinite(grid).all() or (np.diff(grid) <= 0).any():
         raise ValueError(
-            f"simulate: output times of shape {grid.shape}; they are at least two finite numbers "
-            "that increase, the first is the start"
+            f"simulate: output times of shape {grid.shape} s; give at least two finite numbers "
+            "that increase, of which the first is the start"
         )
     return grid
 
@@ -148,25 +178,28 @@ def locate(
     start: Start | None = None,
     t: float | None = None,
 ) -> Point:
-    """Build a `Point` from vectors, or from names and values.
+    """Build a `Point` of a model from vectors, or from names and values.
 
-    Data states are as events leave them that look at inputs, parameters and time alone: a connector
-    that an Input switches is on or off as the Input is.
+    Data states that inputs, parameters and time alone determine are updated by their events, so
+    that a connector which an Input switches is on or off as that Input says.
 
     Arguments:
-        at: a `Point` or what holds one, with its time, inputs and parameters; a `Trajectory`, of
-            which the saved point at t is taken, the last one by default, likewise; a vector of
-            states; or a start. By default the model's start.
-        inputs: by name, a value at t each.
-        params: by name.
-        start: states and algebraic unknowns that differ from those of `at`; unknowns are not
-            solved for.
-        t: s, 0 by default.
+        at: where to begin: a `Point`, or a value that holds one such as an `Equilibrium`, with its
+            time, inputs and parameters; a `Trajectory`, of which the saved point at t is taken (by
+            default the last one) with its inputs and parameters; a vector of states (n_x,); or
+            states by name. By default the model's start.
+        inputs: by name: numbers, functions of t or samples, which are evaluated at t.
+        params: values by name; the others are those of `at`, or keep their default.
+        start: values of states and algebraic unknowns that differ from those of `at`. The unknowns
+            are taken as given, and need not solve their equations.
+        t: time in s; by default that of `at`, or 0.
 
     Raises:
-        TypeError: no model, or a start of another kind.
-        ValueError: unknown names, values that are not finite numbers, a trajectory of another
-            model.
+        TypeError: `model` is not a model, or `start` is of an unknown kind.
+        ValueError: unknown names, values that are not finite numbers, a trajectory or point of
+            another model.
+
+    >>> locate(model, trajectory, t=0.5, params={"k": 3e4})  # doctest: +SKIP
     """
     where = f"model '{as_model(model, 'linearize').name}'"
     held = at if isinstance(at, Point) else getattr(at, "point", None)
@@ -196,7 +229,8 @@ def locate(
 
 
 def _switched(model: Model, point: Point) -> Point:
-    """The point with the data states that inputs, parameters and the time alone decide."""
+    """Return the point with the data states that inputs, parameters and time alone determine."""
+    # A single point has no run in which the event of a switch could fire, so it fires here.
     for i in _switches(model):
         if float(model.function("zero")(*point.arguments)[i]) < 0:
             change = np.array(model.function("jump")(*point.arguments)[:, i]).reshape(-1)
@@ -205,7 +239,10 @@ def _switched(model: Model, point: Point) -> Point:
 
 
 def _switches(model: Model) -> tuple[int, ...]:
-    """Events that happen at once wherever inputs, parameters, time and data have them happen."""
+    """Return the indices of the events that are due at once by inputs, parameters, time and data.
+
+    Their functions depend on no other state and on no algebraic unknown.
+    """
     dae = model.dae
     if not dae.events:
         return ()
@@ -224,7 +261,7 @@ def _of_this_model(model: Model, point: Point) -> Point:
         raise ValueError(
             f"model '{model.name}': a point with {len(point.x)} states, {len(point.z)} unknowns "
             f"and {len(point.p)} parameters is of another model; this one has {model.n_x}, "
-            f"{model.n_z} and {model.n_p}"
+            f"{model.n_z} and {model.n_p}; make it with locate(model, ...)"
         )
     return point
 
@@ -232,7 +269,7 @@ def _of_this_model(model: Model, point: Point) -> Point:
 def _started(
     model: Model, x: np.ndarray, z: np.ndarray, start: Start | None, what: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States and unknowns, those of `start` in their places.
+    """Return states and unknowns, with the values given in `start` in their places.
 
     Arguments:
         what: "point" or "start", for the message.
@@ -255,7 +292,7 @@ def _started(
 
 
 def _saved(model: Model, trajectory: Trajectory, t: float | None) -> Point:
-    """A saved point of a trajectory."""
+    """Return a saved point of a trajectory, by default the last one."""
     labels = (*model.x_labels, *model.dae.z_labels)
     if tuple(trajectory.states) != tuple(label.name for label in labels):
         raise ValueError(
@@ -269,7 +306,8 @@ def _saved(model: Model, trajectory: Trajectory, t: float | None) -> Point:
         if abs(trajectory.t[k] - t) > _SAME * (1 + abs(t)):
             raise ValueError(
                 f"model '{model.name}': t = {t} s is not a saved time of trajectory "
-                f"'{trajectory.name}', the nearest is {trajectory.t[k]:.9g} s; save it, or take it"
+                f"'{trajectory.name}', the nearest is {trajectory.t[k]:.9g} s; use that one, or "
+                "simulate with this time among the output times"
             )
     dae = model.dae
     groups = (dae.x_labels, dae.z_labels, dae.u_labels, *dae.parameters[:2])
@@ -280,31 +318,36 @@ def _saved(model: Model, trajectory: Trajectory, t: float | None) -> Point:
 
 
 def check_kept(model: Model, given: Mapping[str, float], what: str) -> None:
-    """Check that no name is that of a state that the minimal model left out or replaced.
+    """Check that no value is given for a state that the minimal model left out or replaced.
 
     Arguments:
+        given: values by name of state.
         what: "point" or "start", for the message.
 
     Raises:
-        ValueError: one is.
+        ValueError: one is; the message gives the value or formula of that state, and the remedy.
     """
     still = {d.name: f"left out at {d.value:.6g}: {d.reason}" for d in model.dropped}
     how = still | {r.name: f"replaced: it is {r.how}" for r in model.replaced}
     rates = {r.name for r in model.replaced if r.is_rate}
     for name in given:
         if name in how:
-            remedy = f"a {what} elsewhere needs compile_scene(minimal=False)"
+            remedy = f"for a {what} elsewhere use compile_scene(minimal=False)"
             if name in rates:
-                remedy = f"without inertia it has no {what} of its own"
+                remedy = f"without inertia it has no {what} value of its own; leave it out"
             raise ValueError(f"model '{model.name}': state '{name}' was {how[name]}; {remedy}")
 
 
 def check_known(model: Model, kind: str, labels: Sequence[Label], given: Mapping[str, Any]) -> None:
-    """Check that all names are those of labels.
+    """Check that all names given are names of labels.
+
+    Arguments:
+        kind: "state", "input" or "parameter", for the message.
+        given: values by name.
 
     Raises:
-        TypeError: `given` does not hold values by name.
-        ValueError: a name is not among the labels.
+        TypeError: `given` is not a mapping from names to values.
+        ValueError: a name is not among the labels; the message lists those that are.
     """
     if not isinstance(given, Mapping):
         raise TypeError(
@@ -321,10 +364,15 @@ def check_known(model: Model, kind: str, labels: Sequence[Label], given: Mapping
 def filled(
     model: Model, kind: str, labels: Sequence[Label], values: Any, given: Mapping[str, Any] | None
 ) -> np.ndarray:
-    """Return values, with those given by name in their places.
+    """Return a vector of values, one for each label, with those given by name in their places.
+
+    Arguments:
+        kind: "state", "input" or "parameter", for the message.
+        values: default values (n,), in the order of the labels.
+        given: values by name, or None.
 
     Raises:
-        ValueError: unknown names, values that are no finite numbers.
+        ValueError: unknown names, values that are not finite numbers.
     """
     given = given or {}
     check_known(model, kind, labels, given)
@@ -337,7 +385,7 @@ def filled(
 
 
 def _vector(model: Model, given: Any) -> np.ndarray:
-    """A vector of states, checked."""
+    """Check a vector of states, and return it as an array (n_x,)."""
     labels = model.x_labels
     try:
         vector = np.array(given, float).reshape(-1)
@@ -348,8 +396,8 @@ def _vector(model: Model, given: Any) -> np.ndarray:
         ) from error
     if len(vector) != len(labels) or not np.isfinite(vector).all():
         raise ValueError(
-            f"model '{model.name}': a vector of {len(vector)} states; it has {len(labels)} finite "
-            f"ones: {', '.join(label.name for label in labels[:_LISTED])}"
+            f"model '{model.name}': a vector of {len(vector)} states; it has {len(labels)}; give "
+            f"finite values of {', '.join(label.name for label in labels[:_LISTED])}"
         )
     return vector
 

@@ -193,7 +193,7 @@ def model() -> rs.Model:
 @pytest.mark.parametrize("times", [0, -1.0, NAN, INF, None, "1", [0], [0, 0], [0, 2, 1], [0, NAN],
                                    [[0, 1]]], ids=str)  # fmt: skip
 def test_times(model: rs.Model, times: Any) -> None:
-    rule = "positive and finite" if isinstance(times, (int, float)) else "increase"
+    rule = "give a positive, finite end time" if isinstance(times, (int, float)) else "increase"
     refused(ValueError, lambda: rs.simulate(model, times), "simulate: ", rule)
 
 
@@ -214,8 +214,8 @@ WHERE = "model 'bench'"
                                                  "one length")),
     ({"inputs": {"pull": ([[0, 1]], [[1, 2]])}}, (f"{WHERE}, input 'pull': ", "(1, 2)", "length")),
     ({"inputs": {"pull": ([0], [1])}}, (f"{WHERE}, input 'pull': ", "at least 2")),
-    ({"inputs": {"pull": ([1, 0], [1, 2])}}, (f"{WHERE}, input 'pull': ", "times increase")),
-    ({"inputs": {"pull": ([0, 1], [NAN, 1])}}, (f"{WHERE}, input 'pull': ", "values are finite")),
+    ({"inputs": {"pull": ([1, 0], [1, 2])}}, (f"{WHERE}, input 'pull': ", "give increasing times")),
+    ({"inputs": {"pull": ([0, 1], [NAN, 1])}}, (f"{WHERE}, input 'pull': ", "finite values")),
 ], ids=lambda value: next(iter(value.values())) if isinstance(value, dict) else "")  # fmt: skip
 def test_experiments(model: rs.Model, options: dict[str, Any], words: tuple[str, ...]) -> None:
     refused(ValueError, lambda: rs.simulate(model, 1.0, **options), *words)

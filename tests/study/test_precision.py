@@ -111,5 +111,5 @@ def test_chart_of_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     lambda: rs.Collocation(0.1, 3, "lobatto"),
 ])  # fmt: skip
 def test_bad_steps(call: Any) -> None:
-    with pytest.raises(ValueError, match=r"; it is"):
+    with pytest.raises(ValueError, match=r"; give "):
         call()

@@ -137,7 +137,7 @@ def test_a_motion_that_does_not_come_back_is_told() -> None:
 
 def test_bad_calls_of_floquet() -> None:
     model = rs.compile_scene(hinged_column())
-    with pytest.raises(ValueError, match=r"period -1 s; it is positive"):
+    with pytest.raises(ValueError, match=r"period -1 s; give a positive"):
         floquet(model, -1)
     ball = rs.RigidBody("b", 1.0, (1, 1, 1), position=(0, 0, 1))
     floor = rs.RigidBodySpringDamper(
@@ -192,7 +192,7 @@ def test_points_that_fail_are_rows_with_a_reason() -> None:
     reasons = table.column("error").tolist()
     assert reasons[1] == "ValueError: too long"
     assert "EquilibriumError" in reasons[0]
-    assert "hold it by stiffness" in reasons[0]
+    assert "add stiffness there" in reasons[0]
     assert np.isnan(np.array(table.column("abscissa"), float)).all()
     assert set(table.column("stable").tolist()) == {None}
     figure = rs.plots.stability_map(table)
@@ -299,7 +299,7 @@ def model_file(tmp_path: Path, text: str) -> Path:
 def test_the_command_prints_rest_and_eigenvalues(capsys: pytest.CaptureFixture) -> None:
     assert main(["stability", str(MODELS / "engine_mounts.py")]) == 0
     said = capsys.readouterr().out
-    assert "rest found in" in said
+    assert "equilibrium found in" in said
     assert "engine.p_z = " in said
     assert "damping ratio" in said
     assert "stable, largest real part" in said
