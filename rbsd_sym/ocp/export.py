@@ -251,7 +251,7 @@ def _source(made: Parametric, method: Method, sizes: Sizes) -> str:
         qp = _quadratic_program(name, sizes.jacobian, sizes.hessian)
         generator.add(qp)
         marks |= _SOLVER | {"QP_ARG": max(12, qp.sz_arg()), "QP_RES": max(4, qp.sz_res())}
-    code = generated(generator, made.frame.model)
+    code = generated(generator, made.traced.model)
     files = [
         "ocp_problem",
         *(["ocp_shift"] if sizes.shifts else []),

@@ -84,6 +84,18 @@ def test_operations_that_have_lanes() -> None:
     assert has_lanes(every_operation())
 
 
+def links(count: int) -> rs.Scene:
+    """A hanging chain of so many links."""
+    bodies = [rs.RigidBody(f"b{i}", 1 + i, (1, 1.1, 1.2), position=(i, 0, 0)) for i in range(count)]
+    ends = [rs.Marker(rs.GROUND), *(rs.Marker(b.name, (0.4, 0, 0)) for b in bodies)]
+    joints = [
+        rs.RigidBodySpringDamper(f"j{i}", ends[i], rs.Marker(body.name, (-0.4, 0, 0)),
+                                 [900 + i] * 3 + [5, 6, 7], [3] * 3 + [0.1] * 3)
+        for i, body in enumerate(bodies)
+    ]  # fmt: skip
+    return rs.Scene("links", bodies, joints, gravity=(0, 0.3, -9.81))
+
+
 @pytest.mark.parametrize("count", range(1, 7))
 def test_any_number_of_instances(count: int, tmp_path: Path) -> None:
     """Also those that do not fill all lanes; with multipliers and directions, too."""
