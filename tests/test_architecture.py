@@ -115,8 +115,6 @@ OTHER_TEXTS = {
     "exports/header.py": "text of C",
     "exports/simulator_casadi.py": "text of C",
     "exports/simulator_texts.py": "text of C",
-    "scene/functions.py": "messages, and names of files in a traceback",
-    "scene/mbs.py": "names that Python and numpy ask every object for",
     "study/log.py": "lines of a file",
     "study/table.py": "white space in a cell",
     "study/workers.py": "white space in a message",

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..dae.dae import Dae, Expansion
-from ..dae.members import Hold, Label, Part
+from ..dae.members import Label
 from ..dae.reduction import Reduction
 from ..minimal import core, finish
 from ..scene.scene import Scene
@@ -113,31 +113,14 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
         z_start=flat.z_start,
         x_labels=tuple(labels[label.name] for label in flat.x_labels),
         z_labels=tuple(replace(labels[label.name], start=label.start) for label in flat.z_labels),
-        parts=tuple(_moved_part(part, n) for part in flat.parts),
-        events=tuple(_moved(event, n) for event in flat.events),
-        holds=tuple(_moved(hold, n) for hold in flat.holds),
-        updates=tuple(_moved(update, n) for update in flat.updates),
-        motions=tuple(
-            replace(
-                m,
-                coordinates=_further_down(m.coordinates, n),
-                velocities=_further_down(m.velocities, n),
-            )
-            for m in flat.motions
-        ),
+        parts=_further_down(flat.parts, n, "reads", "ode_rows"),
+        events=_further_down(flat.events, n, "reads", "rows"),
+        holds=_further_down(flat.holds, n, "reads"),
+        updates=_further_down(flat.updates, n, "reads", "rows"),
+        motions=_further_down(flat.motions, n, "coordinates", "velocities"),
         balances=(),
         # Rows of the scene's rotations, then those of the same rotations in axes of the plane.
-        rotations=(
-            *full.rotations,
-            *(
-                replace(
-                    r,
-                    coordinates=_further_down(r.coordinates, n),
-                    velocity=_further_down(r.velocity, n),
-                )
-                for r in flat.rotations
-            ),
-        ),
+        rotations=(*full.rotations, *_further_down(flat.rotations, n, "coordinates", "velocity")),
         notes=(*flat.notes, f"the motion is planar, with normal ({normal})"),
         expansion=Expansion(
             states,
@@ -149,20 +132,12 @@ def _in_scene(full: Dae, flat: Dae, plane: Plane, layout: Layout) -> Dae:
     )
 
 
-def _further_down(rows: tuple[int, ...], n: int) -> tuple[int, ...]:
-    return tuple(row + n for row in rows)
-
-
-def _moved_part(part: Part, n: int) -> Part:
-    return replace(
-        part, reads=_further_down(part.reads, n), ode_rows=_further_down(part.ode_rows, n)
+def _further_down(items: tuple[Any, ...], n: int, *fields: str) -> tuple[Any, ...]:
+    """Return parts, events, ... whose rows of full states, in these fields, are n further down."""
+    return tuple(
+        replace(item, **{key: tuple(row + n for row in getattr(item, key)) for key in fields})
+        for item in items
     )
-
-
-def _moved(item: Any, n: int) -> Any:
-    """Return an event, hold or update whose rows of full states are n further down."""
-    changes = {} if isinstance(item, Hold) else {"rows": _further_down(item.rows, n)}
-    return replace(item, reads=_further_down(item.reads, n), **changes)
 
 
 def _labels(plane: Plane, layout: Layout, expansion: Expansion) -> list[Label]:
