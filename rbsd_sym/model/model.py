@@ -74,7 +74,7 @@ class Model:
         kernels: functions call one kernel for each kind of part, mapped over its instances;
             otherwise they are flat. The numbers are the same.
         library: compiled functions, by name, to be used in place of CasADi's own.
-        scene: the scene it was compiled from; only pictures read it.
+        scene: the scene it was compiled from; pictures, `study.domain` and `ocp` read it.
 
     >>> print(model)                                              # doctest: +SKIP
     >>> rates = model.function("ode")(0.0, x, z, u, p)            # doctest: +SKIP

@@ -28,7 +28,7 @@ class Outcome(Enum):
 
     `simulate(..., throw=False)` returns a failure as data in `trajectory.outcome`, and
     `trajectory.report` says when and why it happened and what to do. `ok` is true of `reached_end`,
-    `event` (an event with `stops` ended the run) and `unstable_across_reduction` (the trajectory is
+    `event` (an `Event` with `stop=True` ended the run) and `unstable_across_reduction` (the trajectory is
     complete, but a motion that the minimal model left out is unstable).
 
     >>> Outcome.event.ok, Outcome.solver_failed.ok
