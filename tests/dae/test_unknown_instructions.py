@@ -187,6 +187,25 @@ def test_formulas_that_differ_in_the_ninth_digit_stay_apart() -> None:
     assert model.digest != rs.compile_scene(scene(1.00000001, 1.00000003), minimal=False).digest
 
 
+@every_model
+def test_params_and_inputs_go_through_calls(layout: str, minimal: bool) -> None:
+    """A table returns a plain SX; the leaves in it are found by their symbols."""
+    k, pull = rs.Param("k", 0.5), rs.Input("pull", "m/s")
+    idle = rs.Param("idle", 1.0)
+    scene = shock(lambda u, v: SQUARE(CURVE(k * v + pull) / 100) * (1 + 0 * idle.expr) * k)
+    model = rs.compile_scene(scene, layout=layout, minimal=minimal)
+    assert [label.name for label in (*model.dae.p_labels, *model.dae.u_labels)] == ["k", "pull"]
+    x = np.array([label.start for label in model.x_labels])
+    row = [label.name for label in model.x_labels].index("body.v_z")
+    x[row] = 0.3
+    found = float(model.function("ode")(0, x, [], [0.1], [0.8])[row])
+    called = piecewise(0.8 * 0.3 + 0.1) / 100
+    assert found == pytest.approx(-(STIFFNESS * START + 2500 * called**2 * 0.8) / MASS, rel=1e-12)
+    slope = np.array(ca.DM(model.function("dode_dp")(0, x, [], [0.1], [0.8])))[row, 0]
+    step = [float(model.function("ode")(0, x, [], [0.1], [0.8 + h])[row]) for h in (1e-6, -1e-6)]
+    assert slope == pytest.approx((step[0] - step[1]) / 2e-6, rel=1e-6)
+
+
 # What is left out.
 
 
