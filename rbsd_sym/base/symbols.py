@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial, wraps
 from typing import Any, TypeAlias, Union
+from weakref import WeakValueDictionary
 
 import casadi as ca
 import numpy as np
@@ -386,10 +387,14 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 _UNIT = re.compile(r"[\w .^*/()%-]{0,32}")
 
 
+# By symbol, since functions of CasADi, such as interpolants, return a plain SX without leaves.
+_LEAVES: WeakValueDictionary[int, Leaf] = WeakValueDictionary()
+
+
 class Leaf(Scalar):
     """A named symbol of the scene; equal only to itself."""
 
-    __slots__ = ("name", "unit", "value")
+    __slots__ = ("__weakref__", "name", "unit", "value")
 
     def __init__(self, name: str, value: float, unit: str) -> None:
         check_identifier(name, type(self).__name__.lower())
@@ -412,6 +417,7 @@ class Leaf(Scalar):
         super().__init__(ca.SX.sym(name))
         self.name, self.unit, self.value = name, unit, float(value)
         self.leaves = frozenset([self])
+        _LEAVES[self.expr.element_hash()] = self
 
     def __reduce__(self) -> tuple[Any, ...]:
         raise TypeError(
@@ -459,6 +465,9 @@ def leaves_of(value: object) -> frozenset[Leaf]:
     """Every `Param`, `Input` and `TIME` inside a number or a (nested) array of numbers."""
     if isinstance(value, Scalar):
         return value.leaves
+    if isinstance(value, ca.SX):
+        found = (_LEAVES.get(symbol.element_hash()) for symbol in ca.symvar(value))
+        return frozenset(leaf for leaf in found if leaf is not None)
     if isinstance(value, np.ndarray):
         if value.dtype != object:
             return frozenset()

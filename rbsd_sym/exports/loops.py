@@ -1,8 +1,8 @@
 """Assembled functions as C loops: gather what instances read, call their kernel, add the results.
 
-CasADi's own code for mapped kernels copies all arguments and all results; these loops keep a few
-instances in cache. CasADi writes a stub for each function: its signature, its sparsity and the rest
-of what its loader asks for. What the stub calls is replaced by our loops.
+CasADi's own code for mapped kernels copies all arguments and all results, whereas these loops work
+on a few instances at a time. CasADi generates a stub for each function, with the signature, the
+sparsity and whatever else its loader needs, and the body of the stub is replaced by a loop.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _QUIET = """#if defined(__GNUC__)
 
 
 def assembles(model: Model, name: str) -> bool:
-    """Whether the function of that name is written as loops.
+    """Return whether the function of that name is written as loops.
 
-    A function with a kernel that has no lanes is not: CasADi writes all of it.
+    All of it is left to CasADi's code generator if one of its kernels has no lanes.
     """
     own = ("zero", "zero_rate", "jump", "post_newton")
     if not model.kernels or name in (*model.dae.outputs, *own) or "zero_d" in name:
@@ -40,7 +40,13 @@ def assembles(model: Model, name: str) -> bool:
 
 
 def stub(model: Model, name: str, symbol: str, with_pattern: bool = False) -> ca.Function:
-    """A function with the signature and the sparsity of the real one; on request its Jacobian's."""
+    """Return a Function whose C code has the right signature and sparsity, but a body of no use.
+
+    Arguments:
+        name: of the function in the model.
+        symbol: its name in C.
+        with_pattern: also give its Jacobian the right sparsity.
+    """
     parts = model.assembly.assembled(name)
     symbols = [ca.MX.sym(v, size) for v, size in zip("txzup", _sizes(model), strict=True)]
     value = ca.MX(parts.pattern, 1.0)
@@ -57,7 +63,15 @@ def stub(model: Model, name: str, symbol: str, with_pattern: bool = False) -> ca
 
 
 def with_loops(text: str, model: Model, stubs: Mapping[str, str]) -> str:
-    """CasADi's code with the bodies of the stubs (symbol: name) replaced, and what they call."""
+    """Return CasADi's code with the bodies of stubs replaced by loops over kernels.
+
+    Arguments:
+        text: C text of the code generator.
+        stubs: name in the model of each stub, by its symbol in C.
+
+    Raises:
+        RuntimeError: this version of CasADi writes functions in another way.
+    """
     if not stubs:
         return text
     kernels: dict[str, ca.Function] = {}
@@ -78,7 +92,7 @@ def _sizes(model: Model) -> tuple[int, ...]:
 
 
 def _call_loops(text: str, symbol: str) -> str:
-    """Let the stub call our loops."""
+    """Make the stub call the loops instead of its own body."""
     head = rf"(CASADI_SYMBOL_EXPORT int {symbol}\([^)]*\){{\s*return )casadi_f\d+\("
     declared = rf"static int {symbol}_loops({_ARGUMENTS});\n\n\1{symbol}_loops("
     text, count = re.subn(head, declared, text)
@@ -88,6 +102,7 @@ def _call_loops(text: str, symbol: str) -> str:
 
 
 def _loops(model: Model, symbol: str, parts: Assembled, kernels: Sequence[str]) -> str:
+    """Return the C function that sets the result to zero and adds all pieces to it."""
     n, sizes = parts.pattern.nnz(), _sizes(model)[1:]
     lines = [
         f"static int {symbol}_loops({_ARGUMENTS})",
@@ -104,7 +119,7 @@ def _loops(model: Model, symbol: str, parts: Assembled, kernels: Sequence[str]) 
 
 
 def _stacked(sizes: Sequence[int]) -> list[str]:
-    """All = [x; z; u; p], a NULL read as zeros."""
+    """Return the lines that set `all` to [x; z; u; p], with zeros for a NULL."""
     lines = [f"  casadi_real all[{max(1, sum(sizes))}];"]
     first = 0
     for i, size in enumerate(sizes, start=1):
@@ -121,7 +136,11 @@ def _stacked(sizes: Sequence[int]) -> list[str]:
 
 
 def _loop(kernel: str, piece: Piece) -> list[str]:
-    """All instances of a kernel, LANES at once; beyond the last one it stands in for the rest."""
+    """Return the loop over all instances of a kernel, LANES at a time.
+
+    If their number is not a multiple of LANES, the spare lanes repeat the last instance, and their
+    results are not used.
+    """
     m, count = piece.places.shape
     tables, before, arguments = [_table("int", "places", piece.places)], [], ["&time"]
     groups = (
@@ -165,7 +184,7 @@ def _loop(kernel: str, piece: Piece) -> list[str]:
 
 
 def _table(kind: str, name: str, values: np.ndarray) -> str:
-    """Instance by instance; no line of it grows beyond what an editor shows."""
+    """Return a C array of values, a column for each instance, in lines of 24 numbers."""
     flat = values.T.reshape(-1).tolist()
     texts = [repr(float(v)) if kind == "casadi_real" else str(int(v)) for v in flat]
     lines = [", ".join(texts[i : i + 24]) for i in range(0, len(texts), 24)]

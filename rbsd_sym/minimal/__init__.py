@@ -1,4 +1,4 @@
-"""Passes that leave out what a scene does not need: `Dae -> (Dae, Reduction)`."""
+"""Passes that leave out what a scene does not need: `Dae -> (Dae, Reduction)`. See README.md."""
 
 from __future__ import annotations
 
@@ -17,32 +17,40 @@ __all__ = ["balance", "core", "finish", "reduce"]
 
 
 def reduce(dae: Dae) -> tuple[Dae, Reduction]:
-    """All passes: what never moves, turns about one axis, has no inertia, is felt by no output.
+    """Return the `Dae` after all passes, and a record of what they left out.
 
-    The small model is exact for every value of the states it keeps, the inputs and the parameters.
+    States that never move are gone, a body that turns about one axis has one angle, motions without
+    inertia are algebraic, and what no requested output depends on is gone. The result is exact for
+    all values of the remaining states, the inputs and the parameters.
+
+    Raises:
+        ValueError: a motion without inertia that its balance does not determine.
     """
     small = core(dae)
     return finish(dae, small, small)
 
 
 def core(dae: Dae) -> Dae:
-    """The passes that look at the motion alone."""
+    """Apply the passes that depend on the motion only, not on the requested outputs."""
     return balance(planar(freeze(dae)))
 
 
 def finish(full: Dae, small: Dae, written: Dae, shift: int = 0) -> tuple[Dae, Reduction]:
-    """The passes that look at what is wanted, and the account of all that was left out.
+    """Apply the passes that depend on the requested outputs, and record what all passes left out.
 
     Arguments:
         full, small: a model before and after `core`.
-        written: the small one again, perhaps with its states among those of another scene.
-        shift: where they start there.
+        written: `small`, or the same motion as part of the states of another scene
+            (`formulations/in_plane.py`).
+        shift: row at which the states of `small` start among those of `written`.
     """
+    # The account is taken on `small`, since `unused` may drop states that the reasons refer to.
     reduced = without_effect(unused(written))
     still = never_moving(small)
     left = dropped([shift + i for i in still], reduced)
     names = {d.name for d in left}
 
+    # Probing the full model is left until someone reads the notes.
     def seen() -> tuple[str, ...]:
         labels = reduced.expansion.labels[shift:] if reduced.expansion else ()
         return tuple(

@@ -1,10 +1,11 @@
-"""Balance: motions without inertia become algebraic, or first-order where they are damped.
+"""Balance: motions without inertia become algebraic, or of first order if they are damped.
 
-A row of `ode` without inertia holds a force (or torque) F that must vanish.
+A formulation writes the sum F of forces (or torques) into the `ode` row of a velocity without
+inertia, and lists the motion in `Dae.balances`. F must vanish:
 
-- F depends on the velocity: the velocity is an algebraic unknown, the coordinate stays a state.
-- F depends on the coordinates only: they are algebraic; their velocity follows from d alg/dt = 0.
-- F is zero, whatever the state: the velocity is undetermined, and keeps its start value.
+- F depends on the velocity: that becomes an algebraic unknown; the coordinate stays a state.
+- F depends on coordinates only: these become algebraic; their velocity follows from d alg/dt = 0.
+- F is zero for all states: the velocity is undetermined, and keeps its start value.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ _SHOWN = 12  # start values in one note
 
 
 def balance(dae: Dae) -> Dae:
-    """The `Dae` with its motions without inertia made algebraic, at consistent start values.
+    """Return the `Dae` with its motions without inertia made algebraic, at consistent starts.
 
-    Directions that the balance does not decide are settled in `undecided.py`.
+    Directions of motion that the balance does not determine are settled in `undecided.py`.
 
     Raises:
-        ValueError: nothing acts that could decide it.
+        ValueError: nothing acts on such a motion that could determine it.
     """
     if not dae.balances:
         return dae
@@ -41,7 +42,7 @@ def balance(dae: Dae) -> Dae:
 
 
 class _Sorting:
-    """Which rows of the full scene are states, unknowns and equations."""
+    """Sorts rows of the full scene into states, algebraic unknowns and equations."""
 
     def __init__(self, dae: Dae) -> None:
         n = dae.x.numel()
@@ -54,7 +55,7 @@ class _Sorting:
         self.notes: list[str] = []
 
     def sort(self, motion: Balance) -> None:
-        """Decide about one motion."""
+        """Choose unknowns for one motion: its velocities if damped, else its coordinates."""
         place = self.way.rows
         live = [row for row in motion.velocities if place[row] is not None]
         idle = [row for row in live if row in motion.idle]
@@ -67,13 +68,14 @@ class _Sorting:
         if acting:
             own = {place[row] for row in motion.coordinates}
             damped = any(self.readers[place[row]] - own for row in acting)  # type: ignore[index]
-            mixed = not set(live) <= set(motion.idle)  # a rod: inertia about the other axes
+            # A rod has inertia about two axes only. All its coordinates stay states, then.
+            mixed = not set(live) <= set(motion.idle)
             unknowns = acting if damped or mixed else motion.coordinates
             kept = tuple(row for row in unknowns if place[row] is not None)
             self.blocks.append(Block(motion, acting, kept, damped or mixed))
 
     def by_velocity(self, block: Block) -> None:
-        """Make the velocities of a block its unknowns, though nothing damps it."""
+        """Take the velocities of a block as its unknowns, although nothing damps it."""
         k = self.blocks.index(block)
         self.blocks[k] = Block(block.motion, block.acting, block.acting, True)
 
@@ -81,7 +83,7 @@ class _Sorting:
         return ", ".join(self.way.labels[row].name for row in rows)
 
     def result(self) -> Dae:
-        """The `Dae` in which the unknowns are z and the balances alg."""
+        """Return the `Dae` whose z are the unknowns and whose alg are the balances."""
         dae, way, first = self.dae, self.way, self.dae.z.numel()
         followers = tuple(b.motion for b in self.blocks if not b.damped)
         derived = {row for motion in followers for row in motion.velocities}
@@ -120,10 +122,10 @@ class _Sorting:
         )
 
     def _gauges(self, block: Block) -> list[Part]:
-        """Equations for what no force decides: the norm of a quaternion, undetermined directions.
+        """Return equations for what no force determines, so that coordinates can be solved for.
 
-        An undetermined direction i (the spin of a point mass on a string) keeps the i-th component
-        of the turn from the start at zero.
+        The norm of a quaternion stays 1. Along an undetermined direction, such as the spin of a
+        point mass on a string, the displacement from the start stays zero.
         """
         motion = block.motion
         guess = ca.vertcat(*(self.way.labels[row].start for row in motion.coordinates))
@@ -138,12 +140,12 @@ class _Sorting:
 
 
 def _equation(dae: Dae, x: ca.SX, c: ca.SX, row: ca.SX) -> ca.Function:
-    """Kernel that adds to alg only."""
+    """Return a kernel that adds to alg only."""
     return ca.Function("balance", [dae.t, x, ca.SX.sym("z", 0), c], [ca.SX(0, 1), row])
 
 
 def _with_start(dae: Dae) -> Dae:
-    """Labels of z with consistent values, and a note on those that had to change."""
+    """Return the `Dae` with consistent start values of z, and a note on those that changed."""
     if not dae.z.numel():
         return dae
     u = np.array([label.start for label in dae.u_labels])

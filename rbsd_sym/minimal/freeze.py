@@ -1,4 +1,8 @@
-"""Freeze: leave out the states that provably never move."""
+"""Freeze: leave out the states that provably never move.
+
+If the rate of a state is zero at its start value whatever the other states do, the start value is a
+solution, and the only one, since the rates are Lipschitz continuous (Picard-Lindelöf).
+"""
 
 from __future__ import annotations
 
@@ -15,13 +19,15 @@ from .probing import at_rest
 
 
 def freeze(dae: Dae) -> Dae:
-    """Drop states whose rates vanish identically while they sit at their start values.
+    """Drop the states whose rates vanish identically while they keep their start values.
 
-    Let Z be a set of states; if their rates are zero with Z at its start, for all values of the
-    other states, inputs and parameters, Z never moves. The greatest such set that can be proven is
-    found by starting with all states and removing those whose rate is not provably zero. Data
-    states are free, and so is what an event changes. It is sound, not complete. The dropped motion
-    may be unstable: see `Reduction.transverse`.
+    If the rates of a set Z of states are zero with Z at its start values, for all values of the
+    other states, the inputs and the parameters, then Z never moves. The greatest such set that can
+    be proven is a fixed point: start with all states, and remove those whose rate is not provably
+    zero until nothing changes. Data states are never in Z, nor is a state that an event may change.
+
+    The pass is sound, but not complete: a state may be kept that never moves. The motion that is
+    left out may be unstable (see `Reduction.transverse`).
     """
     gone = _Frozen(dae).solve()
     kept = [i for i in range(dae.x.numel()) if i not in gone]
@@ -49,15 +55,17 @@ def _is_live(part: Part, gone: frozenset[int]) -> bool:
 
 
 class _Frozen:
-    """The greatest provable fixed point; a part is seen again when what it reads is released.
+    """The greatest fixed point that can be proven.
 
-    Parts alike, with alike states frozen at alike values, are proven once.
+    A part is evaluated again when a state that it reads has left the set. Parts with the same
+    kernel, constants and frozen values share one proof.
     """
 
     def __init__(self, dae: Dae) -> None:
         self.dae = dae
         n = dae.x.numel()
         self.parts = (*dae.parts, *(_as_part(event) for event in dae.events))
+        # A proof can only succeed for states that do not move at random values either.
         self.frozen = at_rest(dae)
         self.x, self.start = ca.vertsplit(dae.x), ca.vertsplit(dae.x_start)
         self.values = numbers_of(dae.x_start)
@@ -70,7 +78,7 @@ class _Frozen:
                 self.readers[row].add(k)
 
     def solve(self) -> frozenset[int]:
-        """Indices of the states that never move, among those that probing sees at rest."""
+        """Return the indices of the states that never move."""
         dirty = set(range(len(self.parts)))
         while dirty:
             dirty = {k for k in dirty if self.frozen[list(self.parts[k].ode_rows)].any()}
@@ -81,7 +89,7 @@ class _Frozen:
         return frozenset(int(i) for i in np.flatnonzero(self.frozen))
 
     def _evaluate(self, k: int) -> tuple[int, ...]:
-        """Rates that part k adds with the frozen states at their start."""
+        """Store what part k adds to the rates with the frozen states at their start; its rows."""
         part = self.parts[k]
         reads = list(part.reads)
         still, values = self.frozen[reads], self.values[reads]
@@ -99,7 +107,10 @@ class _Frozen:
         return part.ode_rows
 
     def _prove(self, part: Part, still: np.ndarray) -> list[ca.SX | None]:
-        """Rows of the kernel over t, u, p; None for one that depends on a state that moves."""
+        """Return what a part adds to each row, over t, u, p; None if it depends on a moving state.
+
+        Which states move, and their symbols, do not matter, so that parts alike share the result.
+        """
         dae, count = self.dae, len(part.reads) + len(part.reads_z)
         while len(self.local) < count:
             self.local.append(ca.SX.sym(f"w{len(self.local)}"))
@@ -113,16 +124,19 @@ class _Frozen:
         rows, _ = part.kernel(dae.t, ca.vertcat(none, *x), ca.vertcat(none, *z), part.constants)
         moving = ca.vertcat(none, *local)
         open_rows = [i for i in range(rows.numel()) if not rows[i].is_constant()]
+        # CasADi has already simplified products with the frozen zeros; what is left takes a proof.
         if open_rows and still.any():
             rows[open_rows] = fold(rows[open_rows], ca.vertcat(dae.t, moving, dae.u, dae.p))
         return [None if ca.depends_on(row, moving) else row for row in ca.vertsplit(rows)]
 
     def _is_zero(self, row: int) -> bool:
+        """Whether the rates that all parts add to a row cancel, and no event changes it."""
         total = ca.SX(0)
         for k, rate in self.rates[row].items():
             if rate is None:
                 return False
-            if k >= len(self.dae.parts):  # an event: no rate can make up for it
+            # A jump by an event cannot be made up for by a rate, so that it must be zero by itself.
+            if k >= len(self.dae.parts):
                 if not rate.is_zero():
                     return False
                 continue
@@ -131,7 +145,7 @@ class _Frozen:
 
 
 def _as_part(event: Transition) -> Part:
-    """The changes that an event makes in place of rates."""
+    """Return an event as a part whose rates are the changes that the event makes."""
     t, x, z, c = event.kernel.sx_in()
     change = event.kernel(t, x, z, c)[1]
     kernel = ca.Function("change", [t, x, z, c], [change, ca.SX(0, 1)])

@@ -1,4 +1,7 @@
-"""Planar: one angle for a body that turns about one fixed axis."""
+"""Planar: one angle for a body that turns about one fixed axis.
+
+Of the four entries of its quaternion two remain after `freeze`; they lie on the unit circle.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,13 @@ from ..dae.members import Balance, Kinematics, Label, Part, Rotation, RotationKi
 
 
 def planar(dae: Dae) -> Dae:
-    """One angle instead of two quaternion states where a body turns about one fixed axis.
+    """Replace the two quaternion states of a body that turns about one fixed axis by one angle.
 
-    A quaternion whose two other vector components are frozen at zero is (cos(a/2), sin(a/2)) of an
-    angle a with a' = w; the angle counts turns. It takes the place of q_w; the other state goes.
+    With two vector components frozen at zero, the quaternion is (cos(a/2), sin(a/2)) for an angle a
+    with a' = w, which counts turns. The angle takes the place of q_w, and the other state goes.
+
+    Arguments:
+        dae: after `freeze`; one that is not reduced is returned as it is.
     """
     expansion = dae.expansion
     if expansion is None:
@@ -39,6 +45,8 @@ def planar(dae: Dae) -> Dae:
         name = labels[w].name
         x[w] = ca.SX.sym(name)
         start[w] = 2 * ca.atan2(start[v], start[w])
+        # Parts go on reading the quaternion, now as a function of the angle. The angle is appended
+        # to the full states, with a part of its own for its rate.
         states[w_row], states[v_row] = ca.cos(x[w] / 2), ca.sin(x[w] / 2)
         rows[w_row] = rows[v_row] = None
         parts.append(Part(name, pass_on, (turn.velocity[axis],), (), ca.SX(0, 1), (len(states),)))
@@ -63,7 +71,7 @@ def planar(dae: Dae) -> Dae:
 
 
 def _without(dae: Dae, gone: set[int]) -> Dae:
-    """The reduced `Dae` without some of its own states, which nothing reads any more."""
+    """Return a reduced `Dae` without some of its states, which nothing reads any more."""
     kept = [i for i in range(dae.x.numel()) if i not in gone]
     place = {old: new for new, old in enumerate(kept)}
     expansion = dae.expansion
@@ -80,20 +88,20 @@ def _without(dae: Dae, gone: set[int]) -> Dae:
 
 
 def _axis(rows: Sequence[int | None], states: Sequence[ca.SX], turn: Rotation) -> int | None:
-    """The axis 0, 1, 2 of a turn of which only that component moves; None for any other turn."""
+    """Return the axis 0, 1, 2 of a rotation about one fixed axis; None for any other rotation."""
     moving = [i for i in range(3) if rows[turn.coordinates[i + 1]] is not None]
     if len(moving) != 1:
         return None
     idle = [i for i in range(3) if i not in moving]
     still = [turn.coordinates[i + 1] for i in idle] + [turn.velocity[i] for i in idle]
-    # A row without a state stands for a number here: it was frozen.
+    # After `freeze`, a row without a state holds a start value, which must be zero.
     if any(rows[row] is not None or not states[row].is_zero() for row in still):
         return None
     return moving[0]
 
 
 def _about_one_axis(balance: Balance, turn: Rotation, axis: int, angle: int) -> Balance:
-    """The balance of a rotation that has become one angle, in row `angle`; others as they are."""
+    """Return the balance of this rotation for its angle, in row `angle`; any other unchanged."""
     if balance.coordinates != turn.coordinates:
         return balance
     w = turn.velocity[axis : axis + 1]
@@ -104,7 +112,7 @@ def _about_one_axis(balance: Balance, turn: Rotation, axis: int, angle: int) -> 
 
 
 def _angle(motion: Kinematics, turn: Rotation, axis: int, angle: int) -> Kinematics:
-    """The motion of a rotation that has become one angle, in row `angle`; others as they are."""
+    """Return the kinematics of this rotation for its angle, in row `angle`; others unchanged."""
     if motion.coordinates != turn.coordinates:
         return motion
     a, step = ca.SX.sym("a"), ca.SX.sym("step")
@@ -115,7 +123,7 @@ def _angle(motion: Kinematics, turn: Rotation, axis: int, angle: int) -> Kinemat
 
 
 def _pass_on(dae: Dae) -> ca.Function:
-    """Kernel whose rate is the one state it reads."""
+    """Return a kernel whose rate is the only state that it reads."""
     w, none = ca.SX.sym("w"), ca.SX(0, 1)
     arguments = [dae.t, w, ca.SX.sym("z", 0), ca.SX.sym("c", 0)]
     return ca.Function("angle", arguments, [w, none])

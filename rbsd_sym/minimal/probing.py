@@ -1,4 +1,8 @@
-"""Probing: which states seem never to move, by random values in place of proofs."""
+"""Probing: which states do not move at random values of the others.
+
+It decides nothing by itself: `freeze` tries to prove what probing finds, and a model notes states
+that probing finds at rest but that could not be proven to be.
+"""
 
 from __future__ import annotations
 
@@ -9,46 +13,47 @@ import numpy as np
 from ..dae.dae import Dae
 from ..model.kernels import Group, groups
 
-_PROBES = 4
+_PROBES = 4  # random values of each state
 _ROUNDING = 1e-11  # of a rate, relative to its size where everything moves
 
 
 def at_rest(dae: Dae) -> np.ndarray:
-    """Whether each state stays at its start, as far as random values tell (n,).
+    """Return for each state whether it stays at its start at random values of the others (n,).
 
-    The greatest fixed point of `freeze`, decided by numbers. A state that is not in it does move; a
-    proof can only be found for one that is. Data states count as moving.
+    This is the fixed point of `freeze` with numbers instead of proofs: a state outside of it does
+    move. Data states count as moving.
     """
     n = dae.x.numel()
     if n == 0:
         return np.zeros(0, bool)
-    probe = _Probe(dae)
-    probe.set(np.arange(n), probe.moved)
-    allowed = _ROUNDING * (1 + probe.sizes()[:n])
-    probe.set(np.arange(n), probe.start)
+    rates = _RandomRates(dae)
+    rates.set(np.arange(n), rates.moved)
+    allowed = _ROUNDING * (1 + rates.sizes()[:n])
+    rates.set(np.arange(n), rates.start)
     still = np.ones(n, bool)
     still[list(dae.data)] = False
-    probe.set(np.array(dae.data, int), probe.moved)
-    while (released := np.flatnonzero(still & (probe.sizes()[:n] > allowed))).size:
+    rates.set(np.array(dae.data, int), rates.moved)
+    while (released := np.flatnonzero(still & (rates.sizes()[:n] > allowed))).size:
         still[released] = False
-        probe.set(released, probe.moved)
+        rates.set(released, rates.moved)
     return still
 
 
 @dataclass(eq=False)
 class _Values:
-    """The results (r, N, probes) of one group."""
+    """What one group adds to its rows (r, N, probes)."""
 
     group: Group
     values: np.ndarray
 
 
-class _Probe:
-    """Rates at random values; a change is worked out for those that read it only."""
+class _RandomRates:
+    """Rates at random values; when states change, only the groups that read them are evaluated."""
 
     def __init__(self, dae: Dae) -> None:
         rng = np.random.default_rng(0)
         n = dae.x.numel()
+        # Parameters vary around their defaults and keep their signs, as masses must.
         p = np.array([label.start for label in dae.p_labels])
         p = np.where(p == 0, 0.1, p)[:, None] * np.exp(0.3 * rng.standard_normal((p.size, _PROBES)))
         self.start = np.column_stack([dae.start_values(p[:, k])[0] for k in range(_PROBES)])
@@ -60,7 +65,7 @@ class _Probe:
         self.known = [_Values(g, np.zeros((*g.writes.shape, _PROBES))) for g in groups(dae)]
 
     def set(self, rows: np.ndarray, values: np.ndarray) -> None:
-        """Give states their value among `values` (n, probes)."""
+        """Set the states `rows` to theirs of `values` (n, probes), and update the rates."""
         self.w[rows] = values[rows]
         changed = np.zeros(len(self.w), bool)
         changed[rows] = True
@@ -79,7 +84,7 @@ class _Probe:
                 known.values[:, dirty] = fresh
 
     def sizes(self) -> np.ndarray:
-        """Largest rate of each row over the probes."""
+        """Return the largest absolute rate of each row over the probes."""
         return np.abs(self.totals).max(axis=1)
 
     def _evaluate(self, group: Group, which: np.ndarray) -> np.ndarray:

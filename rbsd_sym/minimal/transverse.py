@@ -1,4 +1,4 @@
-"""What a reduction left out, and the Jacobian that tells whether it stays there."""
+"""What a reduction left out and why, and the Jacobian that shows whether it would stay there."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from ..dae.members import Label
 from ..dae.reduction import Dropped, Replaced
 
 _NEVER_MOVES = "its rate is zero while all dropped states keep their start values"
-_NOT_FELT = "no requested output feels it"
+_UNUSED = "no requested output depends on it"
 _LONG = 50  # characters of a formula
 
 
 def dropped(still: list[int], reduced: Dae) -> tuple[Dropped, ...]:
-    """The states that never move, then those that no requested output feels.
+    """Return the states that never move, then those that no requested output depends on.
 
     Arguments:
-        still: full states that never move.
+        still: rows of the full states that never move.
     """
     way = reduced.expansion
     if way is None:
         return ()
-    pairs = [(i, _NEVER_MOVES) for i in still] + [(i, _NOT_FELT) for i in sorted(way.unknown)]
+    pairs = [(i, _NEVER_MOVES) for i in still] + [(i, _UNUSED) for i in sorted(way.unknown)]
     labels = [(way.labels[i], reason) for i, reason in pairs]
     return tuple(Dropped(label.name, label.start, reason) for label, reason in labels)
 
 
 def replaced(left: tuple[Dropped, ...], reduced: Dae) -> tuple[Replaced, ...]:
-    """The states that follow from others, beside those that are left out."""
+    """Return the states that follow from others by a formula, except those in `left`."""
     way = reduced.expansion
     if way is None:
         return ()
@@ -50,7 +50,7 @@ def replaced(left: tuple[Dropped, ...], reduced: Dae) -> tuple[Replaced, ...]:
 
 
 def _formula(expr: ca.SX) -> str:
-    """A short formula as it stands, of a long one what it depends on."""
+    """Return a short formula as text; of a long one, the symbols that it depends on."""
     text = str(expr)
     if len(text) <= _LONG and "@" not in text:
         return text
@@ -62,21 +62,25 @@ def _rate_of(labels: tuple[Label, ...], coordinates: tuple[int, ...]) -> str:
 
 
 def inertial(full: Dae, still: list[int]) -> tuple[bool, ...]:
-    """For each state that never moves whether its row is a rate, or a force that must vanish."""
+    """Return whether the row of each still state is a rate, not a force that must vanish."""
     idle = {row for motion in full.balances for row in motion.idle}
     return tuple(row not in idle for row in still)
 
 
 def transverse(full: Dae, core: Dae, written: Dae, reduced: Dae) -> ca.Function:
-    """Jacobian of the rates that vanish by the states that never move, on the kept manifold.
+    """Return the Jacobian of the vanishing rates by the still states, along motions of the model.
 
-    Parameters that only the dropped motion feels come after p.
+    It is a Function of (t, x, z, u, p) of the reduced model; parameters that only the dropped
+    motion depends on follow in p.
 
     Arguments:
-        core: what is left of the full model without what never moves.
-        written: the same, perhaps with other names and among the states of another scene.
-        reduced: what is left of that without what no output feels.
+        full: the model before all passes.
+        core: after the passes on the motion.
+        written: the same motion as `core`, perhaps as part of the states of another scene.
+        reduced: `written` after the passes on the outputs.
     """
+    # Along such motions the full Jacobian is block triangular: still rates do not depend on moving
+    # states. So this block alone decides whether a small disturbance of the still states grows.
     rows, block = never_moving(core), ca.SX(0, 0)
     if rows:
         block = ca.jacobian(full.ode[rows], full.x[rows])
@@ -88,7 +92,7 @@ def transverse(full: Dae, core: Dae, written: Dae, reduced: Dae) -> ca.Function:
 
 
 def _over(reduced: Dae, written: Dae) -> ca.SX:
-    """States and unknowns of `written`; those that `reduced` lacks stand at their start."""
+    """Return x and z of `written` over those of `reduced`; what it lacks is at its start."""
     here = {label.name for label in (*reduced.x_labels, *reduced.z_labels)}
     values = [ca.SX(0, 1)]
     for kind in "xz":
@@ -101,7 +105,7 @@ def _over(reduced: Dae, written: Dae) -> ca.SX:
 
 
 def never_moving(reduced: Dae) -> list[int]:
-    """Full rows that never move: they have no row, and a start value instead of a state."""
+    """Return the full rows that never move: without a row, and with a start value as formula."""
     way = reduced.expansion
     if way is None:
         return []

@@ -1,13 +1,14 @@
-"""Directions that a balance without inertia does not decide, settled without changing the motion.
+"""Directions that a balance without inertia does not determine; the motion stays as it is.
 
-Let F(t, x, z) = 0 be the balance of motions that feel each other. Projectors onto left null spaces
-are polynomials of the matrices (Faddeev-LeVerrier), so that they follow the motion exactly.
+Let F(t, x, z) = 0 be the balance of coupled motions. Left null spaces of its derivatives are the
+undetermined directions. Projectors onto them are written as polynomials of the matrices
+(Faddeev-LeVerrier), so that they are exact along the whole motion.
 
-- Unknown velocities, and D = dF/dz singular (projector P): damping acts on some directions only, in
-  the others F is a constraint on the states. Its derivative decides the velocity:
-  0 = F + P tau F', which keeps F = 0, and draws a start that breaks it in within a few tau.
-- No force at all along a direction (projector N), such as the spin of a point mass on a string,
-  where that is not provable: 0 = F - N v, with v the velocity, or the way from the start.
+- Unknown velocities, D = dF/dz singular with projector P: damping acts along some directions only,
+  and along the others F is a constraint on the states. Its derivative determines the velocity:
+  0 = F + P tau F' keeps F = 0, and lets a violation at the start decay within a few tau.
+- No force at all along a direction (projector N) where that could not be proven, such as the spin
+  of a point mass on a string: 0 = F - N v, with v the velocity, or the displacement from the start.
 """
 
 from __future__ import annotations
@@ -23,15 +24,20 @@ from ..dae.members import Balance, Part
 
 _TAU = 1e-3  # s; the result does not depend on it, rounding grows with its inverse
 _RANK = 1e-9  # of a singular value, relative to the largest; rows are scaled
-_NOISE = 1e-13  # of the largest derivative in the model: smaller ones are rounding
-_VIRTUAL = 1e-6  # of the real resistance, where the start alone decides nothing
-_LEAK = 1e-6  # of what a projector may let through
-_LARGEST = 12  # rows of a group; the price of a projector grows with their fourth power
+_NOISE = 1e-13  # of the largest derivative in the model; smaller ones are rounding
+_VIRTUAL = 1e-6  # of the real resistance, if only at the start something is undetermined
+_LEAK = 1e-6  # largest component that a projector may leave where there should be none
+_LARGEST = 12  # rows of a group; the size of a projector grows with their fourth power
 
 
 @dataclass(frozen=True)
 class Block:
-    """A motion with unknowns: its full rows in alg and in z, and whether these are velocities."""
+    """A motion with algebraic unknowns.
+
+    Fields:
+        acting, unknowns: full rows of its balances and of its unknowns.
+        damped: whether the unknowns are velocities; otherwise they are coordinates.
+    """
 
     motion: Balance
     acting: tuple[int, ...]
@@ -40,42 +46,42 @@ class Block:
 
 
 def settle(dae: Dae, blocks: list[Block]) -> Dae:
-    """The `Dae`, with undecided directions settled and noted.
+    """Return the `Dae` with undetermined directions settled, and a note on each.
 
     Raises:
         ValueError: directions that cannot be settled.
     """
-    probe = _Sample(dae)
+    sample = _Sample(dae)
     if not blocks:
         return dae
-    if probe.rank(probe.jacobian) == dae.z.numel():
-        return _helped_at_start(probe, blocks)
-    for group in _groups(probe, blocks):
-        dae = _with_extra(dae, group, _extra(probe, group), _note(group))
-    probe = _Sample(dae)
-    if probe.rank(probe.jacobian) < dae.z.numel():
+    if sample.rank(sample.jacobian) == dae.z.numel():
+        return _helped_at_start(sample, blocks)
+    for group in _groups(sample, blocks):
+        dae = _with_extra(dae, group, _extra(sample, group), _note(group))
+    sample = _Sample(dae)
+    if sample.rank(sample.jacobian) < dae.z.numel():
         names = ", ".join(label.name for label in dae.z_labels)
         raise ValueError(
             f"model '{dae.name}': motion without inertia ({names}): the balance of forces does not "
             "decide it; hold it by stiffness or damping, or give it a small mass and inertia"
         )
-    return _helped_at_start(probe, blocks)
+    return _helped_at_start(sample, blocks)
 
 
-def _helped_at_start(probe: _Sample, blocks: list[Block]) -> Dae:
-    """Virtual damping (or stiffness) where only the start itself decides nothing."""
-    dae = probe.dae
-    if probe.rank(probe.jacobian, at_start=True) == dae.z.numel():
+def _helped_at_start(sample: _Sample, blocks: list[Block]) -> Dae:
+    """Add virtual damping (or stiffness) to groups that are undetermined at the start only."""
+    dae = sample.dae
+    if sample.rank(sample.jacobian, at_start=True) == dae.z.numel():
         return dae
-    for group in _groups(probe, blocks):
+    for group in _groups(sample, blocks):
         rows = [row for row, _ in group.rows_of_blocks]
-        D = probe.jacobian[rows, group.columns]
-        if probe.rank(D, at_start=True) == len(rows):
+        D = sample.jacobian[rows, group.columns]
+        if sample.rank(D, at_start=True) == len(rows):
             continue
-        scales = ca.DM(probe.scales(D))
+        scales = ca.DM(sample.scales(D))
         note = (
-            f"{group.name}: no inertia, and the start is a point where the balance decides nothing "
-            f"in some direction; a virtual resistance of {_VIRTUAL:g} of the real one acts on it"
+            f"{group.name}: no inertia, and at the start the balance leaves some direction "
+            f"undetermined; a virtual resistance of {_VIRTUAL:g} of the real one acts on it"
         )
         dae = _with_extra(dae, group, -_VIRTUAL * scales * _motion(dae, group), note)
     return dae
@@ -90,17 +96,17 @@ def _with_extra(dae: Dae, group: _Group, extra: ca.SX | None, note: str) -> Dae:
 
 
 def mixed(dae: Dae, blocks: list[Block]) -> list[Block]:
-    """Blocks without damping in a group that is undecided and has damping elsewhere."""
-    probe = _Sample(dae)
-    if not blocks or probe.rank(probe.jacobian) == dae.z.numel():
+    """Return the undamped blocks of undetermined groups in which other blocks are damped."""
+    sample = _Sample(dae)
+    if not blocks or sample.rank(sample.jacobian) == dae.z.numel():
         return []
-    groups = [group.blocks for group in _groups(probe, blocks)]
+    groups = [group.blocks for group in _groups(sample, blocks)]
     damped = [members for members in groups if any(block.damped for block in members)]
     return [block for members in damped for block in members if not block.damped]
 
 
 class _Sample:
-    """Values of matrices at the start and at points around it, and what they tell about ranks."""
+    """Values of matrices at the start and at random points around it, for decisions on ranks."""
 
     def __init__(self, dae: Dae, points: int = 5) -> None:
         self.dae = dae
@@ -120,27 +126,27 @@ class _Sample:
 
     @cached_property
     def jacobian(self) -> ca.SX:
-        """Of alg with respect to z."""
+        """Derivative of alg by z."""
         return ca.jacobian(self.dae.alg, self.dae.z)
 
     def values(self, matrix: ca.SX) -> list[np.ndarray]:
-        """The matrix at the points."""
-        function = ca.Function("probe", self.dae.symbols, [ca.densify(matrix)])
+        """Return the matrix at all points."""
+        function = ca.Function("sample", self.dae.symbols, [ca.densify(matrix)])
         return [np.array(function(*point)).reshape(matrix.shape) for point in self.points]
 
     def scales(self, matrix: ca.SX) -> np.ndarray:
-        """Largest entry of each row over the points; rows of rounding are not raised."""
+        """Return the largest entry of each row over the points; a common one for mere rounding."""
         largest = np.max([np.abs(value).max(axis=1) for value in self.values(matrix)], axis=0)
         return np.where(largest > self.noise, largest, max(self.noise / _NOISE, 1.0))
 
     @cached_property
     def noise(self) -> float:
-        """What counts as rounding in a derivative of the balance."""
+        """Size up to which derivatives of the balance count as rounding."""
         rates = ca.jacobian(ca.vertcat(self.dae.ode, self.dae.alg), self.dae.x)
         return _NOISE * max(float(np.abs(v).max(initial=0.0)) for v in self.values(rates))
 
     def rank(self, matrix: ca.SX, at_start: bool = False) -> int:
-        """Rank with scaled rows, at the start or the largest over the points."""
+        """Return the rank with scaled rows, at the start or the largest over the points."""
         scales = self.scales(matrix)[:, None]
         values = self.values(matrix)[: 1 if at_start else None]
         singular = [np.linalg.svd(value / scales, compute_uv=False) for value in values]
@@ -149,7 +155,7 @@ class _Sample:
 
 @dataclass(frozen=True)
 class _Group:
-    """Blocks that feel each other; for each its first row in alg and in z."""
+    """Coupled blocks; for each its first row in alg and in z."""
 
     blocks: tuple[Block, ...]
     first_row: tuple[int, ...]
@@ -162,28 +168,29 @@ class _Group:
 
     @property
     def rows_of_blocks(self) -> list[tuple[int, Block]]:
-        """Rows in alg of the balances, with their block."""
+        """Rows of the balances in alg, each with its block."""
         pairs = zip(self.blocks, self.first_row, strict=True)
         return [(first + i, b) for b, first in pairs for i in range(len(b.acting))]
 
     @property
     def columns(self) -> list[int]:
-        """Rows in z of the unknowns."""
+        """Rows of the unknowns in z."""
         pairs = zip(self.blocks, self.first_column, strict=True)
         return [first + i for b, first in pairs for i in range(len(b.unknowns))]
 
 
-def _groups(probe: _Sample, blocks: list[Block]) -> list[_Group]:
-    """Blocks joined by nonzeros of the Jacobian."""
+def _groups(sample: _Sample, blocks: list[Block]) -> list[_Group]:
+    """Return the groups of blocks that nonzeros of the Jacobian couple."""
     rows = np.cumsum([0, *(len(b.acting) for b in blocks)])
     columns = np.cumsum([0, *(len(b.unknowns) for b in blocks)])
-    pattern = np.array(ca.DM(probe.jacobian.sparsity(), 1))
+    pattern = np.array(ca.DM(sample.jacobian.sparsity(), 1))
     n = len(blocks)
     joined = np.eye(n, dtype=bool)
     for i in range(n):
         for j in range(n):
             joined[i, j] |= pattern[rows[i] : rows[i + 1], columns[j] : columns[j + 1]].any()
     joined |= joined.T
+    # The transitive closure of what is coupled directly (Warshall).
     for k in range(n):
         joined |= joined[:, k : k + 1] & joined[k : k + 1, :]
     first = {int(np.argmax(row)): np.flatnonzero(row) for row in joined}
@@ -197,48 +204,48 @@ def _groups(probe: _Sample, blocks: list[Block]) -> list[_Group]:
     ]
 
 
-def _extra(probe: _Sample, group: _Group) -> ca.SX | None:
-    """What is added to the balance of a group; None where nothing is needed."""
-    dae, rows = probe.dae, [row for row, _ in group.rows_of_blocks]
+def _extra(sample: _Sample, group: _Group) -> ca.SX | None:
+    """Return what is added to the balance of a group; None if it is determined."""
+    dae, rows = sample.dae, [row for row, _ in group.rows_of_blocks]
     F, z = dae.alg[rows], dae.z[group.columns]
     D = ca.jacobian(F, z)
-    felt = ca.horzcat(D, ca.jacobian(F, dae.x))
-    if probe.rank(D) == len(rows):
+    resists = ca.horzcat(D, ca.jacobian(F, dae.x))
+    if sample.rank(D) == len(rows):
         return None
     if len(rows) > _LARGEST:
         raise ValueError(
-            f"model '{dae.name}': {group.name}: {len(rows)} motions without inertia feel each "
-            "other, and damping acts on some of their directions only; damp every direction, or "
-            "give a body a small mass and inertia"
+            f"model '{dae.name}': {group.name}: {len(rows)} coupled motions without inertia, with "
+            "damping along some of their directions only; damp every direction, or give a body a "
+            "small mass and inertia"
         )
-    _check_nothing_acts(probe, felt, F, group)
+    _check_nothing_acts(sample, resists, F, group)
     if not group.blocks[0].damped:
-        return -_through(probe, felt, _motion(dae, group))
+        return -_through(sample, resists, _motion(dae, group))
     rate = ca.jtimes(F, dae.x, dae.ode) + ca.jacobian(F, dae.t)
-    return _through(probe, D, _TAU * rate) - _through(probe, felt, z)
+    return _through(sample, D, _TAU * rate) - _through(sample, resists, z)
 
 
-def _check_nothing_acts(probe: _Sample, felt: ca.SX, F: ca.SX, group: _Group) -> None:
-    """A force in a direction that neither states nor unknowns feel cannot be balanced."""
-    sizes = [np.abs(value).max() for value in probe.values(F)]
-    lost = [np.abs(value).max() for value in probe.values(_through(probe, felt, F))]
-    if max(lost) > _LEAK * max(sizes) + probe.noise:
+def _check_nothing_acts(sample: _Sample, resists: ca.SX, F: ca.SX, group: _Group) -> None:
+    """Check that no force acts along a direction along which nothing resists it."""
+    sizes = [np.abs(value).max() for value in sample.values(F)]
+    lost = [np.abs(value).max() for value in sample.values(_through(sample, resists, F))]
+    if max(lost) > _LEAK * max(sizes) + sample.noise:
         raise ValueError(
-            f"model '{probe.dae.name}': {group.name}: {max(lost):.3g} N (or N m) act on a motion "
+            f"model '{sample.dae.name}': {group.name}: {max(lost):.3g} N (or N m) act on a motion "
             "without inertia that nothing resists; hold it by stiffness or damping, or give it a "
             "mass and inertia"
         )
 
 
 def _motion(dae: Dae, group: _Group) -> ca.SX:
-    """The velocities of a group, or its way from the start."""
+    """Return the velocities of a group, or its displacement from the start."""
     if group.blocks[0].damped:
         return dae.z[group.columns]
     return ca.vertcat(*(_away(dae, block) for block in group.blocks))
 
 
 def _away(dae: Dae, block: Block) -> ca.SX:
-    """Way of a motion from its start along its acting velocities."""
+    """Return the displacement of a motion from its start along its acting velocities."""
     way = dae.expansion
     if way is None:
         raise ValueError(f"model '{dae.name}': a balance is settled in a reduced model")
@@ -249,18 +256,18 @@ def _away(dae: Dae, block: Block) -> ca.SX:
     return ca.substitute(turned[rows], ca.vertcat(c, start), ca.vertcat(at, given))
 
 
-def _through(probe: _Sample, matrix: ca.SX, vector: ca.SX) -> ca.SX:
-    """The vector, in the left null space of a matrix, in the units of F where it has none."""
-    n, scales = matrix.size1(), ca.DM(probe.scales(matrix))
-    rank = probe.rank(matrix)
+def _through(sample: _Sample, matrix: ca.SX, vector: ca.SX) -> ca.SX:
+    """Project a vector onto the left null space of a matrix, in scaled rows."""
+    n, scales = matrix.size1(), ca.DM(sample.scales(matrix))
+    rank = sample.rank(matrix)
     if rank == n:
         return ca.SX.zeros(n)
     scaled = matrix / ca.repmat(scales, 1, matrix.size2())
     P = _left_null(scaled, rank)
-    leak = max(np.abs(value).max(initial=0.0) for value in probe.values(P @ scaled))
+    leak = max(np.abs(value).max(initial=0.0) for value in sample.values(P @ scaled))
     if leak > _LEAK:
         raise ValueError(
-            f"model '{probe.dae.name}': a motion without inertia is damped in some directions "
+            f"model '{sample.dae.name}': a motion without inertia is damped in some directions "
             "only, and far more weakly in one than in another; damp every direction alike, or give "
             "it a small mass and inertia"
         )
@@ -268,9 +275,10 @@ def _through(probe: _Sample, matrix: ca.SX, vector: ca.SX) -> ca.SX:
 
 
 def _left_null(M: ca.SX, rank: int) -> ca.SX:
-    """Projector onto the left null space of M (n, m) of known rank: q(M M') / q(0).
+    """Return the projector onto the left null space of M (n, m) of known rank: q(M M') / q(0).
 
-    q is the characteristic polynomial without its zero roots (Faddeev-LeVerrier recursion).
+    q is the characteristic polynomial of M M' without its zero roots, by the recursion of Faddeev
+    and LeVerrier: rational in the entries of M, without the pivots of a factorisation.
     """
     G, unit = M @ M.T, ca.SX.eye(M.size1())
     B, c = unit, ca.SX(1)
@@ -282,7 +290,7 @@ def _left_null(M: ca.SX, rank: int) -> ca.SX:
 
 
 def _part(dae: Dae, name: str, rows: tuple[int, ...], extra: ca.SX) -> Part:
-    """The expression as a part, which reads the states it depends on."""
+    """Return the expression as a part that reads the states it depends on."""
     states = ca.vertsplit(dae.states)
     symbols = [i for i, state in enumerate(states) if state.is_symbolic()]
     used = ca.which_depends(extra, ca.vertcat(*(states[i] for i in symbols)))
@@ -297,6 +305,6 @@ def _note(group: _Group) -> str:
     if group.blocks[0].damped:
         return (
             f"{group.name}: no inertia, and damping in some directions only; the others follow "
-            f"from the derivative of the balance, a start off it is drawn in within {_TAU:g} s"
+            f"from the derivative of the balance; a violation at the start decays in {_TAU:g} s"
         )
     return f"{group.name}: no inertia, and no force in some direction; there it stays at its start"

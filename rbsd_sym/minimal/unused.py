@@ -1,4 +1,7 @@
-"""Unused: leave out the states that no requested output feels, and parameters without effect."""
+"""Unused: leave out what no requested output depends on, now or later.
+
+Dependence is read from sparsity patterns, which hold for all values, so that it is never missed.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,13 @@ from ..dae.members import Part, pick
 def unused(dae: Dae) -> Dae:
     """Drop states and unknowns that no requested output depends on, now or later.
 
-    Only where outputs were asked for by name: else all states are of interest.
+    It does so only for a scene with `outputs=[...]`; otherwise all states may be of interest. The
+    outputs that need what was dropped are refused from then on (`Expansion.unknown`).
     """
     way = dae.expansion
     if not dae.only_requested or way is None:
         return dae
-    kept_x, kept_z, kept_alg = _felt(dae)
+    kept_x, kept_z, kept_alg = _needed(dae)
     if len(kept_x) == dae.x.numel() and len(kept_z) == dae.z.numel():
         return dae
     events = tuple(event for i, event in enumerate(dae.events) if _acts(dae, i, kept_x))
@@ -30,6 +34,7 @@ def unused(dae: Dae) -> Dae:
     start += [dae.z_start[i] for i in range(dae.z.numel()) if i not in kept_z]
     symbols = ca.vertcat(*gone)
     states = ca.vertsplit(way.states)
+    # `lost` full states are no longer known; the others do not depend on what was dropped.
     lost = {i for i, state in enumerate(states) if ca.depends_on(state, symbols)}
     for motion in way.followers:
         lost |= set(motion.velocities) if lost & set(motion.coordinates) else set()
@@ -74,21 +79,22 @@ def _only(dae: Dae, x: list[int], z: list[int]) -> Dae:
     )
 
 
-def _felt(dae: Dae) -> tuple[set[int], set[int], set[int]]:
-    """States, unknowns and equations that the requested outputs depend on.
+def _needed(dae: Dae) -> tuple[set[int], set[int], set[int]]:
+    """Return the states, unknowns and equations that the requested outputs depend on.
 
-    An unknown needs every equation it is in, and so every unknown in these. An event that changes a
-    state needs what it looks at; so does one that changes nothing, which someone waits for.
+    An unknown needs every equation that it is in, and so all that these read. A state needs what
+    its rate reads, and what the events that change it read. Events that change nothing or stop the
+    run are results by themselves, and so need what they read.
     """
     n = dae.x.numel()
     xz = ca.vertcat(dae.x, dae.z)
     reads = _rows(ca.jacobian_sparsity(ca.vertcat(dae.ode, dae.alg), xz))
     watched: set[int] = set()
-    for i, looks in enumerate(_looks(dae, xz)):
+    for i, read in enumerate(_read_by_events(dae, xz)):
         changed = dae.jump[:, i].sparsity().row()
         for row in changed:
-            reads[row] = [*reads[row], *looks]
-        watched |= set() if changed and not dae.events[i].stops else set(looks)
+            reads[row] = [*reads[row], *read]
+        watched |= set() if changed and not dae.events[i].stops else set(read)
     if dae.updates:
         for row in dae.data:
             reads[row] = [*reads[row], *_together(ca.jacobian_sparsity(dae.update, xz))]
@@ -97,19 +103,20 @@ def _felt(dae: Dae) -> tuple[set[int], set[int], set[int]]:
         for column in reads[row]:
             equations.setdefault(column, set()).add(row)
     todo = watched | set(_together(ca.jacobian_sparsity(dae.out, xz)))
-    felt: set[int] = set()
+    needed: set[int] = set()
     alg: set[int] = set()
     while todo:
         column = todo.pop()
-        felt.add(column)
+        needed.add(column)
         rows = {column} if column < n else equations.get(column, set()) - alg
         alg |= {row for row in rows if row >= n}
-        todo |= {other for row in rows for other in reads[row]} - felt
-    return ({i for i in felt if i < n}, {i - n for i in felt if i >= n}, {row - n for row in alg})
+        todo |= {other for row in rows for other in reads[row]} - needed
+    x, z = ({i for i in needed if i < n}, {i - n for i in needed if i >= n})
+    return x, z, {row - n for row in alg}
 
 
-def _looks(dae: Dae, xz: ca.SX) -> list[list[int]]:
-    """States and unknowns that each event depends on."""
+def _read_by_events(dae: Dae, xz: ca.SX) -> list[list[int]]:
+    """Return for each event the columns that its zero function and its changes depend on."""
     return [
         _together(ca.jacobian_sparsity(ca.vertcat(dae.zero[i], ca.densify(dae.jump[:, i])), xz))
         for i in range(len(dae.events))
@@ -117,18 +124,18 @@ def _looks(dae: Dae, xz: ca.SX) -> list[list[int]]:
 
 
 def _acts(dae: Dae, i: int, kept: set[int]) -> bool:
-    """Whether an event changes a state that is kept, or is waited for."""
+    """Whether an event changes a state that is kept, or is a result by itself."""
     changed = dae.jump[:, i].sparsity().row()
     return dae.events[i].stops or not changed or bool(set(changed) & kept)
 
 
 def _together(pattern: ca.Sparsity) -> list[int]:
-    """Columns with a nonzero."""
+    """Return the columns with a nonzero."""
     return sorted({column for row in _rows(pattern) for column in row})
 
 
 def _rows(pattern: ca.Sparsity) -> list[list[int]]:
-    """Columns with a nonzero, row by row."""
+    """Return the columns with a nonzero, row by row."""
     transposed = pattern.T
     bounds, columns = transposed.colind(), transposed.row()
     return [columns[a:b] for a, b in pairwise(bounds)]
@@ -140,6 +147,7 @@ def _matters(
     alg_rows: tuple[int | None, ...],
     alg_place: dict[int, int],
 ) -> bool:
+    """Whether a part adds to a row that is kept."""
     live = any(rows[row] is not None or alg_rows[row] is not None for row in part.ode_rows)
     return live or any(row in alg_place for row in part.alg_rows)
 
@@ -149,16 +157,16 @@ def _renumbered(part: Part, alg_place: dict[int, int]) -> Part:
 
 
 def without_effect(dae: Dae) -> Dae:
-    """Move the parameters that nothing in the model and its requested outputs feels out of p."""
+    """Move parameters that affect neither the model nor its requested outputs from p to idle_p."""
     if not dae.p.numel():
         return dae
     everything = ca.vertcat(
         dae.ode, dae.alg, dae.x_start, dae.z_start, dae.out, dae.zero, ca.vec(dae.jump), dae.update
     )
-    felt = np.array(ca.which_depends(everything, dae.p, 1, False), bool).reshape(-1)
-    if felt.all():
+    acts = np.array(ca.which_depends(everything, dae.p, 1, False), bool).reshape(-1)
+    if acts.all():
         return dae
-    kept, idle = ([int(i) for i in np.flatnonzero(mask)] for mask in (felt, ~felt))
+    kept, idle = ([int(i) for i in np.flatnonzero(mask)] for mask in (acts, ~acts))
     return replace(
         dae,
         p=pick(dae.p, kept),

@@ -1,4 +1,8 @@
-"""Functions of a model from mapped kernels: gather, map, scatter; derivatives likewise."""
+"""Functions of a model from mapped kernels: gather arguments, map a kernel, add its results.
+
+Derivatives are made in the same way: each kernel is differentiated once, and the nonzeros of its
+derivative are added at the places that each instance has in the derivative of the model.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +23,15 @@ from .kernels import Group, groups, output_groups
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One small function, called for every instance of a group.
+    """A function that is called for each of the N instances of a group.
 
     Fields:
         function: (t, w, c) or (t, w, c, given) -> values (m, 1).
-        reads: (n, N) rows of w in [x; z; u; p], an instance each.
-        constants: (k, N).
-        given: rows of what it reads of the multipliers or of the direction, -1 for none.
-        places: (m, N) where its values are added to the nonzeros of the result, -1 for nowhere.
+        reads: (n, N) rows of w in [x; z; u; p], a column for each instance.
+        constants: (k, N) values of c.
+        places: (m, N) nonzeros of the result to which the values are added, -1 for none.
+        given: (g, N) rows of the sixth argument of the model's function (multipliers, or a
+            direction) that the instance reads, -1 for a zero; None if there is no such argument.
     """
 
     function: ca.Function
@@ -37,7 +42,12 @@ class Piece:
 
 
 class Assembled(NamedTuple):
-    """A function as pieces: its pattern, and the letter and length of its sixth argument."""
+    """A function of the model as pieces.
+
+    Fields:
+        pattern: sparsity of its result, whose nonzeros the pieces add up.
+        letter, n_given: name and length of its sixth argument; "" and 0 if it has five.
+    """
 
     pieces: list[Piece]
     pattern: ca.Sparsity
@@ -47,14 +57,17 @@ class Assembled(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Term:
-    """Mapped values (m, N), and their places, -1 for none."""
+    """Values (m, N) of a mapped kernel, and the places to which they are added, -1 for none."""
 
     values: ca.MX
     places: np.ndarray
 
 
 def scatter_add(terms: Sequence[_Term], size: int) -> ca.MX:
-    """Column (size, 1) of the sums of all values at each place: linear in their number."""
+    """Return the column (size, 1) of the sums of all values at each place.
+
+    The work is linear in the number of values.
+    """
     if not terms or not size:
         return ca.MX(ca.DM.zeros(size, 1))
     # CasADi makes values that are all zero, such as the slope of a switch, a sparse column.
@@ -63,7 +76,8 @@ def scatter_add(terms: Sequence[_Term], size: int) -> ca.MX:
     sources = np.flatnonzero(places >= 0)
     order = sources[np.argsort(places[sources], kind="stable")]
     there, first, counts = np.unique(places[order], return_index=True, return_counts=True)
-    index = np.full(size, len(places))  # the zero at the end
+    # Gather the first value of each place; places without a value take the zero at the end.
+    index = np.full(size, len(places))
     index[there] = order[first]
     total = stack.nz[index.tolist()]
     if counts.max(initial=0) > 1:
@@ -76,10 +90,10 @@ def scatter_add(terms: Sequence[_Term], size: int) -> ca.MX:
 
 
 def _layers(stack: ca.MX, order: np.ndarray, first: np.ndarray, counts: np.ndarray) -> ca.MX:
-    """Sums of counts[i] values each, from order[first[i]] on; counts fall with i.
+    """Return sums of counts[i] values each, from order[first[i]] on; counts fall with i.
 
-    One layer adds the first value of every sum, the next the second of those that have two, and so
-    on, the last and shortest first.
+    A layer holds the k-th values of all sums with at least k. Since counts fall, layer k is as long
+    as the first sums of layer k - 1, so that layers are added as whole vectors, the shortest first.
     """
     total = ca.MX(0, 1)
     for layer in range(int(counts.max()) - 1, -1, -1):
@@ -98,7 +112,13 @@ def _layers(stack: ca.MX, order: np.ndarray, first: np.ndarray, counts: np.ndarr
 def with_jacobian(
     name: str, symbols: Sequence[ca.MX], value: ca.MX, blocks: Sequence[ca.MX]
 ) -> ca.Function:
-    """The Function (t, x, z, u, p) -> value that knows its exact sparse Jacobian."""
+    """Return the Function (t, x, z, u, p) -> value with its exact sparse Jacobian attached.
+
+    Without it, CasADi would differentiate the gathering and the adding.
+
+    Arguments:
+        blocks: derivatives by t, x, z, u and p.
+    """
     given = ca.MX.sym("given", value.numel())
     jacobian = ca.Function(
         f"jac_{name}",
@@ -112,10 +132,7 @@ def with_jacobian(
 
 
 class Assembly:
-    """The functions of a `Dae` from its groups; all take (t, x, z, u, p).
-
-    Derivatives are by w = [x; z; u; p]; groups write rows of [ode; alg], or of out.
-    """
+    """The functions of a `Dae` in the layout "kernels", with the names that `Model` gives them."""
 
     def __init__(self, dae: Dae) -> None:
         self.dae = dae
@@ -142,7 +159,7 @@ class Assembly:
         return sum(g.kernel.n_instructions() * g.reads.shape[1] for g in self.groups)
 
     def function(self, name: str) -> ca.Function:
-        """Ode, alg, out or a derivative of one, named as in `Model`, as a CasADi Function."""
+        """Return ode, alg, out or one of their derivatives as a CasADi Function."""
         parts = self.assembled(name)
         given = ca.MX.sym(parts.letter or "none", parts.n_given)
         terms = [_Term(self._mapped(piece, given), piece.places) for piece in parts.pieces]
@@ -156,7 +173,7 @@ class Assembly:
         return ca.Function(name, symbols, [value], names, [name])
 
     def assembled(self, name: str) -> Assembled:
-        """Ode, alg, out or a derivative of one, in pieces."""
+        """Return ode, alg, out or one of their derivatives in pieces."""
         if name not in self._known:
             found = derivative(name)
             if found is None:
@@ -177,7 +194,7 @@ class Assembly:
         return Assembled(pieces, ca.Sparsity.dense(len(self.outputs[name]), 1))
 
     def _jacobian(self, name: str, by: str) -> Assembled:
-        """Sparse derivative of ode, alg or out by t (explicit), x, z, u, p."""
+        """Return the sparse derivative of ode, alg or out by t (explicit), x, z, u or p."""
         if by == "t":
             return self._by_time(name)
         rows, columns = self.outputs[name], self.inputs[by]
@@ -186,7 +203,7 @@ class Assembly:
         return _matrix(found, len(rows), len(columns))
 
     def _by_time(self, name: str) -> Assembled:
-        """A dense column."""
+        """Return the explicit derivative by time, a dense column."""
         pieces = []
         for group, places in self._writing(name):
             t, w, c = group.kernel.sx_in()
@@ -196,7 +213,11 @@ class Assembly:
         return Assembled(pieces, ca.Sparsity.dense(len(self.outputs[name]), 1))
 
     def _hessian(self, name: str) -> Assembled:
-        """Second derivatives of l'f by w, sparse and symmetric (n_w, n_w)."""
+        """Return the second derivatives of l'f by w = [x; z; u; p], sparse and symmetric.
+
+        Raises:
+            ValueError: a callee of which CasADi leaves out second derivatives.
+        """
         found = []
         for group, writes in self._writing(name):
             if names := without_mixed_derivatives(group.kernel):
@@ -217,7 +238,7 @@ class Assembly:
         return _matrix(found, n, n)._replace(letter="l", n_given=len(self.outputs[name]))
 
     def _forward(self, name: str) -> Assembled:
-        """Derivative of f along a direction v of w, a column."""
+        """Return the derivative of f along a direction v of w, a column."""
         pieces = []
         for group, places in self._writing(name):
             t, w, c = group.kernel.sx_in()
@@ -229,7 +250,7 @@ class Assembly:
         return Assembled(pieces, pattern, "v", self.w.numel())
 
     def _adjoint(self, name: str) -> Assembled:
-        """Gradient of l'f by w, a column."""
+        """Return the gradient of l'f by w, a column."""
         pieces = []
         for group, writes in self._writing(name):
             t, w, c = group.kernel.sx_in()
@@ -241,14 +262,14 @@ class Assembly:
         return Assembled(pieces, pattern, "l", len(self.outputs[name]))
 
     def _writing(self, name: str) -> list[tuple[Group, np.ndarray]]:
-        """The groups that write rows of ode, alg or out, and which; -1 for other rows."""
+        """Return the groups that write to ode, alg or out, and to which rows; -1 for others."""
         pairs = [(g, _within(g.writes, self.outputs[name])) for g in self._groups_of(name)]
         return [(group, writes) for group, writes in pairs if (writes >= 0).any()]
 
     def _tangents(
         self, group: Group, rows: range, columns: range
     ) -> tuple[Piece, np.ndarray, np.ndarray] | None:
-        """Nonzeros of a kernel's Jacobian, and their rows and columns in the block."""
+        """Return the nonzeros of a kernel's Jacobian, and their rows and columns in a block."""
         t, w, c = group.kernel.sx_in()
         jacobian = ca.jacobian(group.kernel(t, w, c), w)
         i, j = (np.array(index, int) for index in jacobian.sparsity().get_triplet())
@@ -261,7 +282,7 @@ class Assembly:
         return _piece(group, function, at[0]), at[0][inside], at[1][inside]
 
     def _mapped(self, piece: Piece, given: ca.MX) -> ca.MX:
-        """The values of all instances, a column each."""
+        """Return the values of all instances, a column each."""
         n = piece.reads.shape[1]
         constants = ca.MX(ca.DM(piece.constants))
         arguments = [self.symbols[0], _gather(self.w, piece.reads), constants]
@@ -280,12 +301,12 @@ def _piece(
 
 
 def _within(rows: np.ndarray, part: range) -> np.ndarray:
-    """Rows counted from the start of a part, -1 for those outside."""
+    """Return rows counted from the start of a range, -1 for those outside."""
     return np.where((rows >= part.start) & (rows < part.stop), rows - part.start, -1)
 
 
 def _gather(column: ca.MX, rows: np.ndarray) -> ca.MX:
-    """Entries of a dense column, instance by instance (n, N); 0 for row -1."""
+    """Return entries of a dense column, a column for each instance (n, N); 0 for row -1."""
     if (rows < 0).any():
         column, rows = ca.vertcat(column, 0), np.where(rows < 0, column.numel(), rows)
     return ca.reshape(column.nz[rows.T.reshape(-1).tolist()], *rows.shape)
@@ -294,7 +315,8 @@ def _gather(column: ca.MX, rows: np.ndarray) -> ca.MX:
 def _matrix(
     found: Sequence[tuple[Piece, np.ndarray, np.ndarray]], n_rows: int, n_columns: int
 ) -> Assembled:
-    """Sparse sum of the values of pieces at rows and columns; negative ones lie outside."""
+    """Return the sparse matrix to which pieces add values at rows and columns; -1 is outside."""
+    # The code of an entry is its index in the dense matrix, column by column as CasADi counts.
     codes = [np.where((i >= 0) & (j >= 0), j * n_rows + i, -1) for _, i, j in found]
     every = np.concatenate([np.zeros(0, int), *(code.reshape(-1) for code in codes)])
     used = np.unique(every[every >= 0])

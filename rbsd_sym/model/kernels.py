@@ -1,7 +1,8 @@
-"""A `Dae` as few kernels, each mapped over its instances: code that does not grow with the scene.
+"""A `Dae` as a few kernels, each mapped over its instances: code that does not grow with the scene.
 
-Parts that share a kernel and a structure (what is zero, frozen, or a parameter) form a group. Its
-kernel is written once and called for every instance with gathered arguments.
+Parts with the same kernel and structure (which arguments are 0, 1, -1, frozen, or formulas) form a
+group. A group has one kernel, into which common numbers are folded. It is called for every instance
+with its own states and constants as arguments.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ from ..dae.members import Hold, numbers_of, pick
 from ..dae.zeros import fold
 
 _STRUCTURAL = (0.0, 1.0, -1.0)
-_MANY = 8  # structures of one kernel, beyond which instances share what is common to all
+_MANY = 8  # structures of a kernel; if there are more, all its instances form one group
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Instances of one kernel.
+    """The N instances of one kernel.
 
     Fields:
-        kernel: Function (t, w, c) -> rows (r, 1); w are entries of [x; z; u; p].
-        reads: (n, N) their rows in [x; z; u; p].
-        constants: (k, N).
-        writes: (r, N) rows of the results in [ode; alg].
+        kernel: Function (t, w (n, 1), c (k, 1)) -> (r, 1), w being entries of [x; z; u; p].
+        reads: (n, N) rows of w in [x; z; u; p], a column for each instance.
+        constants: (k, N) values of c.
+        writes: (r, N) rows of [ode; alg], or of out, to which the results are added.
     """
 
     kernel: ca.Function
@@ -41,10 +42,10 @@ class Group:
 
 
 def groups(dae: Dae) -> list[Group]:
-    """The parts of a `Dae` by kernel and structure; they write [ode; alg].
+    """Group the parts and holds of a `Dae` by kernel and structure; they write to [ode; alg].
 
     Raises:
-        ValueError: a part with symbols that are no t, x, z, u, p of the model.
+        ValueError: a part with symbols other than t, x, z, u, p of the model.
     """
     n, way = dae.x.numel(), dae.expansion
     reader = _Reader(dae, dae.states)
@@ -63,7 +64,7 @@ def groups(dae: Dae) -> list[Group]:
 
 
 def _held(dae: Dae, hold: Hold) -> Group:
-    """A hold depends on all that acts on what it holds, and stands alone."""
+    """Return a group for a hold alone: it depends on all that acts on what it holds."""
     value = dae.held(hold)
     every = ca.vertcat(dae.x, dae.z, dae.u, dae.p)
     reads = _uses(value, every)
@@ -73,7 +74,7 @@ def _held(dae: Dae, hold: Hold) -> Group:
 
 
 def output_groups(dae: Dae) -> list[Group]:
-    """The requested outputs by kernel and structure; they write out."""
+    """Group the requested outputs by kernel and structure; they write to out."""
     reader, instances, first = _Reader(dae, dae.measured), [], 0
     for name in dae.requested:
         output = dae.outputs[name]
@@ -98,13 +99,14 @@ def _grouped(dae: Dae, reader: _Reader, instances: list[_Instance]) -> list[Grou
 
 @dataclass(frozen=True, eq=False)
 class _Instance:
-    """A kernel and its arguments over local symbols.
+    """A kernel with arguments over local symbols w0, w1, ..., which all instances share.
 
     Fields:
-        columns: arguments x, z and constants of the kernel; 0 stands where `numbers` has a number.
+        columns: arguments x, z and constants of the kernel, 0 where `numbers` has a number.
         numbers: of all arguments, NaN where they are symbolic.
-        reads: rows in [x; z; u; p] of the local symbols.
-        writes: rows in [ode; alg], -1 for those that are left out.
+        reads: rows of the local symbols in [x; z; u; p].
+        writes: rows of the results in [ode; alg] or out, -1 for those that are left out.
+        key: equal for instances that may form a group.
     """
 
     kernel: ca.Function
@@ -116,12 +118,12 @@ class _Instance:
 
     @property
     def structure(self) -> np.ndarray:
-        """The numbers that are 0, 1 or -1; NaN for others."""
+        """The numbers that are 0, 1 or -1, since these simplify a kernel; NaN for all others."""
         return np.where(np.isin(self.numbers, _STRUCTURAL), self.numbers, np.nan)
 
 
 class _Reader:
-    """Arguments of kernels over local symbols, which are the same for all instances."""
+    """Makes instances: writes arguments of kernels over local symbols."""
 
     def __init__(self, dae: Dae, states: ca.SX) -> None:
         self.states = ca.vertsplit(states) if states.numel() else []
@@ -140,7 +142,7 @@ class _Reader:
         numbers: np.ndarray,
         writes: tuple[int, ...],
     ) -> _Instance:
-        """A kernel with its arguments; they are those of a `Part`."""
+        """Return the instance of a kernel; the arguments are fields of a `Part`."""
         seen: dict[int, int] = {}
         columns = (
             ca.vertcat(ca.SX(0, 1), *(self.states[row] for row in reads)),
@@ -152,6 +154,7 @@ class _Reader:
             self._column(column, values, seen)
             for column, values in zip(columns, known, strict=True)
         )
+        # Numbers may differ within a group, formulas may not: they are part of its kernel.
         every = ca.vertcat(x, z, c)
         symbolic = np.flatnonzero(np.isnan(np.concatenate(known))).tolist()
         pattern = tuple(row >= 0 for row in writes)
@@ -159,14 +162,14 @@ class _Reader:
         return _Instance(kernel, (x, z, c), np.concatenate(known), tuple(seen), writes, key)
 
     def _column(self, column: ca.SX, values: np.ndarray, seen: dict[int, int]) -> ca.SX:
-        """The column over local symbols, 0 for its numbers."""
+        """Return a column over local symbols, with 0 for its numbers."""
         out = ca.SX.zeros(len(values))
         for i in np.flatnonzero(np.isnan(values)):
             out[int(i)] = self._entry(column[int(i)], seen)
         return out
 
     def _entry(self, entry: ca.SX, seen: dict[int, int]) -> ca.SX:
-        """A symbolic argument as a formula of local symbols (and the time)."""
+        """Return a symbolic argument as a formula of local symbols and the time."""
         if entry.is_symbolic() and entry.element_hash() in self.rows:
             return self._name(entry, seen)
         symbols = [s for s in ca.symvar(entry) if s.element_hash() in self.rows]
@@ -174,6 +177,7 @@ class _Reader:
         return ca.substitute(entry, ca.vertcat(*symbols), ca.vertcat(*names))
 
     def _name(self, symbol: ca.SX, seen: dict[int, int]) -> ca.SX:
+        """Return the local symbol of one of [x; z; u; p]; the instance's first is always w0."""
         place = seen.setdefault(self.rows[symbol.element_hash()], len(seen))
         while len(self.local) <= place:
             self.local.append(ca.SX.sym(f"w{len(self.local)}"))
@@ -181,7 +185,7 @@ class _Reader:
 
 
 def _by_structure(same: list[_Instance]) -> list[list[_Instance]]:
-    """Instances apart by what is 0, 1 or -1, unless that makes too many kinds."""
+    """Split instances by what is 0, 1 or -1, unless that makes too many kinds."""
     kinds: dict[bytes, list[_Instance]] = defaultdict(list)
     for instance in same:
         kinds[instance.structure.tobytes()].append(instance)
@@ -189,10 +193,14 @@ def _by_structure(same: list[_Instance]) -> list[list[_Instance]]:
 
 
 def _group(dae: Dae, local: list[ca.SX], instances: list[_Instance]) -> Group:
-    """One kernel for instances of one structure: equal numbers fold into it."""
+    """Return the group of instances with one key; numbers that all share become part of the code.
+
+    The others become constants c. What the folded kernel does not depend on is not gathered, and
+    rows that are provably zero are not written.
+    """
     first = instances[0]
     numbers = np.array([instance.numbers for instance in instances]).T.reshape(-1, len(instances))
-    plain = np.isfinite(first.numbers)
+    plain = ~np.isnan(first.numbers)
     vary = np.flatnonzero(plain & (numbers != numbers[:, :1]).any(axis=1))
     c, w = ca.SX.sym("c", len(vary)), ca.vertcat(ca.SX(0, 1), *local[: len(first.reads)])
     whole = ca.vertcat(*first.columns)
@@ -219,13 +227,14 @@ def _kernel(name: str, arguments: list[ca.SX], rows: ca.SX) -> ca.Function:
     function = ca.Function(name, arguments, [rows], {"allow_free": True})
     if function.has_free():
         raise ValueError(
-            f"kernel '{name}': symbols {function.free_sx()} are no t, x, z, u, p of the model"
+            f"kernel '{name}': symbols {function.free_sx()} are not t, x, z, u, p of the model; "
+            "use Params, Inputs or TIME"
         )
     return ca.Function(name, arguments, [rows])
 
 
 def _uses(rows: ca.SX, column: ca.SX) -> list[int]:
-    """Entries of a column that the rows depend on."""
+    """Return which entries of a column the rows depend on."""
     if not column.numel() or not rows.numel():
         return []
     return [i for i, used in enumerate(ca.which_depends(rows, column, 1, False)) if used]

@@ -193,8 +193,7 @@ class _Call:
         if free:
             raise ValueError(
                 f"{self.where}: uses the CasADi symbols {free}; only Params, Inputs and the "
-                "arguments may appear; apply numpy functions (np.sin) to them, so that they are "
-                "recognised"
+                "arguments may appear; make a Param or an Input of each"
             )
         function = ca.Function("user", [*known, column], [expr])
         if names := without_derivative(function):
@@ -353,7 +352,7 @@ def _numbers(result: Any, count: int, rule: str, where: str) -> list[Any]:
         raise ValueError(f"{where}: returned {len(values)} numbers; it returns {rule}")
     for i, value in enumerate(values):
         if isinstance(value, ca.SX):
-            values[i] = Scalar(value)
+            values[i] = Scalar(value, leaves_of(value))
         elif not is_number(value):
             raise TypeError(f"{where}: entry {i} is {value!r}; return numbers or expressions")
         elif not isinstance(value, Scalar) and not np.isfinite(value):

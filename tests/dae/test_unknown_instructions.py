@@ -6,6 +6,7 @@ is numpy: the damper in closed form, the motion by a Runge-Kutta method.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -32,6 +33,7 @@ from scenes.calls import (
 )
 
 import rbsd_sym as rs
+from rbsd_sym.model.model import derive
 
 TIGHT = rs.ExplicitRK(1e-10, 1e-12)
 BOTH = [(layout, minimal) for layout in ("flat", "kernels") for minimal in (True, False)]
@@ -185,6 +187,43 @@ def test_formulas_that_differ_in_the_ninth_digit_stay_apart() -> None:
     pulled = [rates[names.index(f"b{i}.v_z")] for i in range(2)]
     np.testing.assert_allclose(pulled, [-1000.00001, -1000.00004], rtol=0, atol=1e-9)
     assert model.digest != rs.compile_scene(scene(1.00000001, 1.00000003), minimal=False).digest
+
+
+@every_model
+def test_params_and_inputs_go_through_calls(layout: str, minimal: bool) -> None:
+    """A table returns a plain SX; the leaves in it are found by their symbols."""
+    k, pull = rs.Param("k", 0.5), rs.Input("pull", "m/s")
+    idle = rs.Param("idle", 1.0)
+    scene = shock(lambda u, v: SQUARE(CURVE(k * v + pull) / 100) * (1 + 0 * idle.expr) * k)
+    model = rs.compile_scene(scene, layout=layout, minimal=minimal)
+    assert [label.name for label in (*model.dae.p_labels, *model.dae.u_labels)] == ["k", "pull"]
+    x = np.array([label.start for label in model.x_labels])
+    row = [label.name for label in model.x_labels].index("body.v_z")
+    x[row] = 0.3
+    found = float(model.function("ode")(0, x, [], [0.1], [0.8])[row])
+    called = piecewise(0.8 * 0.3 + 0.1) / 100
+    assert found == pytest.approx(-(STIFFNESS * START + 2500 * called**2 * 0.8) / MASS, rel=1e-12)
+    slope = np.array(ca.DM(model.function("dode_dp")(0, x, [], [0.1], [0.8])))[row, 0]
+    step = [float(model.function("ode")(0, x, [], [0.1], [0.8 + h])[row]) for h in (1e-6, -1e-6)]
+    assert slope == pytest.approx((step[0] - step[1]) / 2e-6, rel=1e-6)
+
+
+@pytest.mark.parametrize("number", [np.inf, -np.inf, np.nan])
+def test_constants_that_are_not_finite(number: float) -> None:
+    """A stiffness of any number, given below the checks of scenes, is kept in every layout."""
+    body = rs.RigidBody("b", 2, (1, 1, 1), position=(0.1, 0.2, 0.3))
+    joint = rs.RigidBodySpringDamper("c", rs.Marker(rs.GROUND), rs.Marker("b"), [10] * 6)
+    dae = rs.Quaternion().write(rs.Scene("s", [body], [joint]))
+    parts = list(dae.parts)
+    at = [part.name for part in parts].index("c")
+    constants = ca.SX(parts[at].constants)
+    constants[int(np.flatnonzero(parts[at].numbers == 10)[0])] = number
+    parts[at] = replace(parts[at], constants=constants)
+    for kernels in (False, True):
+        model = derive(replace(dae, parts=tuple(parts)), None, kernels)
+        x = np.array([label.start for label in model.x_labels])
+        rates = np.array(model.function("ode")(0, x, [], [], [])).reshape(-1)
+        np.testing.assert_array_equal(rates[7:10], [-number, -1, -1.5])
 
 
 # What is left out.
