@@ -304,7 +304,7 @@ def _made(thread: int, make: Callable[..., np.ndarray], *given: Any, **options: 
 
 
 def where(condition: Any, if_true: Any, if_false: Any) -> Any:
-    """`if_true` where the condition holds, else `if_false`; both are evaluated (a branch).
+    """Return `if_true` where the condition holds, else `if_false`; both are evaluated.
 
     Numbers and symbols, or arrays of them, which are broadcast; the branch that is not taken leaves
     neither its value nor its derivatives, also where these are infinite.
@@ -427,7 +427,18 @@ class Leaf(Scalar):
 
 
 class Param(Leaf):
-    """A number that stays a symbol in the generated code; `value` is its default."""
+    """A number that stays a symbol in the model and in its C code.
+
+    It stands for a float anywhere in a scene, also in arithmetic with floats and numpy arrays, and
+    is constant during a run: `simulate(model, 1.0, params={"k": 3e4})`.
+
+    Arguments:
+        name: identifier, unique in the scene.
+        value: default.
+        unit: for tables, headers and messages.
+
+    Use: k = rs.Param("k", 2e4, "N/m")
+    """
 
     __slots__ = ()
 
@@ -436,7 +447,18 @@ class Param(Leaf):
 
 
 class Input(Leaf):
-    """A number that may vary in time (a force, the offset of a servo); `value` is its default."""
+    """A number that may vary in time, such as a force or the offset of a servo.
+
+    It stands for a float anywhere in a scene but in masses, inertias and starts; its course is given
+    with the run: `simulate(model, 1.0, inputs={"push": lambda t: 5 * np.sin(t)})`.
+
+    Arguments:
+        name: identifier, unique in the scene.
+        unit: for tables, headers and messages.
+        value: default, constant in time.
+
+    Use: push = rs.Input("push", "N")
+    """
 
     __slots__ = ()
 

@@ -33,7 +33,7 @@ class Fracture(Effect):
     energy, whichever is reached first; limits that are not given do not count. The form with events
     has the data states `broken` (0 or 1) and `lost`, the energy (J) stored at that moment.
 
-    Choosing numbers: as a force, the strength of the part times its cross-section.
+    Choosing numbers: a force limit is the strength of the material times the cross-section.
 
     Limits: forces of dampers count towards the load. An energy limit needs a potential, so it does
     not go with a user force.

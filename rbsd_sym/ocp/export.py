@@ -48,7 +48,7 @@ class Code(IntEnum):
     """Return code of an exported solver, in C and as `code` of the result in Python.
 
     Only `optimal` says that the plan is a solution. After `iteration_limit`, which is what a real
-    time loop with one iteration a call sees, the plan is a step nearer; after `infeasible` and
+    time loop with one iteration a call sees, the plan is one iteration closer to the solution; after `infeasible` and
     `stalled` look at violation and optimality. The header explains each code.
     """
 
@@ -110,7 +110,7 @@ def export_problem(
 
     The measured state, which replaces what `start` of the first phase says, and the Params and
     horizons that are given are arguments in C. Time in costs and conditions begins at 0 with each
-    plan; what depends on the time of day belongs into a Param.
+    plan; what depends on the what depends on absolute time belongs in a Param.
 
     Arguments:
         problem: what to find; not a periodic one.

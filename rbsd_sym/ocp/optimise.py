@@ -70,7 +70,7 @@ def optimise(
     fly: bool = True,
     compiled: bool = False,
 ) -> Solution:
-    """Find the motion that costs least.
+    """Find the motion of least cost.
 
     For example
 
@@ -96,11 +96,16 @@ def optimise(
 
     Raises:
         ValueError, TypeError: what is wrong with the problem, before the solver starts.
-        OptimisationError: no plan; it carries the solution.
+        OptimisationError: no plan was found; `error.solution` holds what was reached.
     """
     for given, example in ((method, "Collocation()"), (solver, "Ipopt()")):
         if isinstance(given, type):
             raise TypeError(f"optimise: {given.__name__}; give an object, such as {example}")
+    if method is not None and not hasattr(method, "interval"):
+        raise TypeError(
+            f"optimise: method is a {type(method).__name__}, which does not transcribe problems; "
+            "give rbsd_sym.ocp.Collocation(...) or rbsd_sym.ocp.Shooting(...)"
+        )
     chosen = method or DirectCollocation()
     search = _Search(chosen, solver, progress, fly, compiled)
     solution = _solution(problem, chosen, *search.run(trace_problem(problem), guess))

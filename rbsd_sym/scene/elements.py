@@ -153,7 +153,8 @@ class RigidBodySpringDamper:
         marker0, marker1: the two markers.
         stiffness, damping: 6x6 (or 6 numbers, the diagonal), translation first; N/m, N m/rad and
             N s/m, N m s/rad.
-        offset: 6 numbers, the strain without force, m and rad. Driven by an Input it is a servo.
+        offset: 6 numbers, the strain at which the spring exerts no force, m and rad; with
+            an Input it is a servo.
         velocity_offset: 6 numbers, the rate without damping force, m/s and rad/s.
         rotation_marker0, rotation_marker1: joint frame to marker; A_i = R_body R_marker R_joint.
         law: `Standard()`, `Intrinsic()` or `Consistent()`.
@@ -179,7 +180,7 @@ class RigidBodySpringDamper:
         show, draw_size, color: drawing only; draw_size is the spring's diameter, m. None, and the
             documented -1 and (-1, -1, -1, -1), mean the default.
 
-    The outputs answer to their documented names, too: `<name>.ForceLocal` is `<name>.force_local`.
+    Outputs are also available under their documented names: `<name>.ForceLocal` is `<name>.force_local`.
     """
 
     name: str

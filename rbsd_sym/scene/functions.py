@@ -61,14 +61,14 @@ class Event:
         direction: -1 fires as it falls through zero, +1 as it rises, 0 at both.
         data: new values of all data states of the connector; None leaves them.
         impulse: 6 numbers, in the axes and with the signs of the connector's force (N s, N m s);
-            None for none.
+            None applies none.
         at_once: fire also where the start, or another event, leaves the function on the far side.
             Otherwise it must cross, and a start on zero counts on the side to which it moves.
         stop: end the integration there.
         name: for the record; by default event_0, event_1, ...
 
     Raises:
-        ValueError: a direction that is none, `at_once` without direction.
+        ValueError: direction is not -1, 0 or 1, `at_once` without direction.
     """
 
     zero: Any

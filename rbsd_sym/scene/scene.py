@@ -32,11 +32,11 @@ class Functions(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything a model is made of.
+    """A scene: bodies, connectors, loads, gravity and the outputs that are requested.
 
     Arguments:
         name: identifier; it names the generated files and C functions.
-        bodies, connectors, loads: the elements, with names that differ.
+        bodies, connectors, loads: the elements, with unique names.
         gravity: world axes, m/s2.
         outputs: names of the outputs the model's `out` holds, such as "joint.force_local"; None
             asks for all of them in a small scene, for none in a large one.
@@ -44,7 +44,7 @@ class Scene:
             `mbs.variables[name]`.
 
     Raises:
-        ValueError: unknown body, duplicate names, no body at all.
+        ValueError: unknown body, duplicate names, no body.
     """
 
     name: str

@@ -44,7 +44,7 @@ class Reference(NamedTuple):
 
     Fields:
         trajectory: the reference, at the output times of the comparison.
-        floor: difference of a second method from it, as an error; smaller errors mean nothing.
+        floor: difference of a second method from it, as an error; smaller errors are not resolved.
         names: of the method that made it, and of the second one.
     """
 

@@ -309,7 +309,7 @@ def test_domain_is_silent_far_from_limits() -> None:
     (row,) = rows(domain(turning, rs.simulate(turning, 3.5)))
     assert row["crossed"]
     assert row["t"] == pytest.approx(T_PI, abs=1e-3)
-    with pytest.raises(ValueError, match=r"no scene.*compile_scene"):
+    with pytest.raises(ValueError, match=r"does not carry its scene.*compile_scene"):
         domain(derive(model.dae), run)
 
 

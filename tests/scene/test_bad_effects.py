@@ -134,9 +134,9 @@ def test_at_once_needs_a_direction() -> None:
         force=lambda a, b, c, d, e, f, g, h, i, j, k, l, m, n: [0] * 6, data=[0.0])]),
      f"{WHERE}, force: ", "2 required positional arguments", "called as (mbs, t, item, "),
     (ValueError, lambda: rs.simulate(stepping(lambda *a: [0, -1, a[4][0]]), 1, rs.Rosenbrock()),
-     "model 'bench': ", "post_newton_step", "use GeneralizedAlpha() or Idas()"),
+     "model 'bench': ", "post_newton_step", "use GeneralizedAlpha(step) or Idas()"),
     (ValueError, lambda: rs.simulate(stepping(lambda *a: [0, -1, a[4][0]]), 1, rs.ExplicitRK()),
-     "model 'bench': ", "post_newton_step", "use GeneralizedAlpha() or Idas()"),
+     "model 'bench': ", "post_newton_step", "use GeneralizedAlpha(step) or Idas()"),
 ])  # fmt: skip
 def test_data_and_steps(row: tuple[Any, ...]) -> None:
     refused(*row)
