@@ -449,8 +449,8 @@ class Param(Leaf):
 class Input(Leaf):
     """A number that may vary in time, such as a force or the offset of a servo.
 
-    It stands for a float anywhere in a scene but in masses, inertias and starts; its course is given
-    with the run: `simulate(model, 1.0, inputs={"push": lambda t: 5 * np.sin(t)})`.
+    It stands for a float anywhere in a scene but in masses, inertias and starts; its course is
+    given with the run: `simulate(model, 1.0, inputs={"push": lambda t: 5 * np.sin(t)})`.
 
     Arguments:
         name: identifier, unique in the scene.

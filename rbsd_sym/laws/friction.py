@@ -59,7 +59,8 @@ class Friction(Effect):
     to w.
 
     Limits: the form with events makes an algebraic unknown (no explicit methods) and needs inertia
-    in both bodies. If two friction effects hold the same motion, how they share the load is not determined.
+    in both bodies. If two friction effects hold the same motion, how they share the load is not
+    determined.
 
     Arguments:
         axis: 0, 1, 2 for translation along x, y, z of the joint frame; 3, 4, 5 for rotation.

@@ -28,8 +28,8 @@ class Outcome(Enum):
 
     `simulate(..., throw=False)` returns a failure as data in `trajectory.outcome`, and
     `trajectory.report` says when and why it happened and what to do. `ok` is true of `reached_end`,
-    `event` (an `Event` with `stop=True` ended the run) and `unstable_across_reduction` (the trajectory is
-    complete, but a motion that the minimal model left out is unstable).
+    `event` (an `Event` with `stop=True` ended the run) and `unstable_across_reduction` (the
+    trajectory is complete, but a motion that the minimal model left out is unstable).
 
     >>> Outcome.event.ok, Outcome.solver_failed.ok
     (True, False)

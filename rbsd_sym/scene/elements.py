@@ -180,7 +180,8 @@ class RigidBodySpringDamper:
         show, draw_size, color: drawing only; draw_size is the spring's diameter, m. None, and the
             documented -1 and (-1, -1, -1, -1), mean the default.
 
-    Outputs are also available under their documented names: `<name>.ForceLocal` is `<name>.force_local`.
+    Outputs are also available under their documented names: `<name>.ForceLocal` is
+    `<name>.force_local`.
     """
 
     name: str

@@ -272,8 +272,8 @@ def test_export_of_what_cannot_be_named(model: rs.Model, tmp_path: Path) -> None
     twins, new = compiled(bodies=[body(), body(name="ARM")]), tmp_path / "new"
     refused(ValueError, lambda: rs.export_c(model, new, functions=["arm.positon"]), WHERE,
             "no output 'arm.positon'")
-    refused(ValueError, lambda: rs.export_c(twins, new), WHERE, "'arm.p_x'", "'ARM.p_x'", "capitals",
-            "rename")
+    refused(ValueError, lambda: rs.export_c(twins, new), WHERE, "'arm.p_x'", "'ARM.p_x'",
+            "capitals", "rename")
     assert not new.exists()
 
 
