@@ -160,7 +160,8 @@ class Dae:
         # States that never move are numbers here. CasADi then folds products with 0 by itself, but
         # not what needs a sign, such as atan2(0, sqrt(y)).
         if self.expansion and not reads.is_valid_input():
-            everything = ca.vertcat(*self.symbols)
+            # Rows that were left out may still hold parameters without effect.
+            everything = ca.vertcat(*self.symbols, self.idle_p)
             return [fold(result, everything) for result in results]
         return list(results)
 

@@ -49,7 +49,8 @@ class Code(IntEnum):
 
     Only `optimal` says that the plan is a solution. After `iteration_limit`, which is what a real
     time loop with one iteration a call sees, the plan is one iteration closer to the solution;
-    after `infeasible` and `stalled` look at violation and optimality. The header explains each code.
+    after `infeasible` and `stalled` look
+    at violation and optimality. The header explains each code.
     """
 
     optimal = 0
