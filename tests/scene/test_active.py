@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -102,6 +103,13 @@ def test_every_layout_switches(layout: str, minimal: bool) -> None:
     run = rs.simulate(model, 1.7, rs.Dop853(**TIGHT), inputs={"on": SIGNALS["samples"][0]})
     end = [run["b.position"][-1, 0], run["b.velocity"][-1, 0]]
     assert np.abs(end - truth(1.7, [0.1875, 1.2], False)).max() < 1e-8
+    chosen = rs.compile_scene(scene(rs.Param("p", 1.0)), layout=layout, minimal=minimal)
+    run = rs.simulate(chosen, 1.7, rs.Idas(**TIGHT), params={"p": 0.4})
+    end = [run["b.position"][-1, 0], run["b.velocity"][-1, 0]]
+    assert np.abs(end - truth(1.7, [], False)).max() < 1e-8
+    x, _ = chosen.dae.start_values([1.0])
+    slopes = np.array(ca.DM(chosen.function("dode_dp")(0, x, [], [], [0.4])))
+    assert not slopes.any()
 
 
 def test_time_and_expressions_switch() -> None:
