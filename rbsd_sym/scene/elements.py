@@ -152,7 +152,7 @@ class RigidBodySpringDamper:
         name: identifier, unique in the scene.
         marker0, marker1: the two markers.
         stiffness, damping: 6x6 (or 6 numbers, the diagonal), translation first; N/m, N m/rad and
-            N s/m, N m s/rad.
+            N s/m, N m s/rad. Zero by default.
         offset: 6 numbers, the strain without force, m and rad. Driven by an Input it is a servo.
         velocity_offset: 6 numbers, the rate without damping force, m/s and rad/s.
         rotation_marker0, rotation_marker1: joint frame to marker; A_i = R_body R_marker R_joint.
