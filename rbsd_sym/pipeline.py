@@ -84,6 +84,8 @@ def compile_scene(
     >>> model = compile_scene(scene)                     # doctest: +SKIP
     >>> model.function("dode_dx")(0.0, x, z, u, p)       # doctest: +SKIP
     """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"compile_scene: scene is a {type(scene).__name__}; give a Scene")
     if layout not in _LAYOUTS:
         raise ValueError(f"compile_scene: layout {layout!r}; give one of {', '.join(_LAYOUTS)}")
     chosen = formulation or Quaternion()

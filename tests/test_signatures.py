@@ -110,6 +110,7 @@ def test_a_rest_is_a_start_and_a_place_to_linearise_at() -> None:
     rs.compiled,
     rs.study.recommend,
     lambda scene: rs.study.work_precision(scene, [rs.Idas()]),
+    lambda scene: rs.study.domain(scene, None),
 ])  # fmt: skip
 def test_a_scene_is_not_a_model(call: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: E501
     monkeypatch.chdir(tmp_path)
@@ -138,12 +139,29 @@ def test_wrong_kinds_are_named(given: dict, message: str) -> None:
         rs.simulate(oscillator(), 1.0, **given)
 
 
+def test_a_point_of_another_model_is_refused() -> None:
+    other = rs.RigidBody("other", 1.0, (0.1, 0.1, 0.1))
+    k = rs.Param("k", 40.0)
+    spring = rs.RigidBodySpringDamper(
+        "s", rs.Marker(rs.GROUND), rs.Marker("other"), [k, 0, 0, 0, 0, 0]
+    )
+    stranger = rs.compile_scene(rs.Scene("stranger", [other], [spring]))
+    assert (stranger.n_x, stranger.n_p) == (oscillator().n_x, oscillator().n_p)
+    with pytest.raises(ValueError, match=r"states other\.p_x, other\.v_x is of another model"):
+        rs.simulate(oscillator(), 1.0, start=rs.static_equilibrium(stranger))
+    with pytest.raises(ValueError, match="of another model"):
+        rs.linearize(oscillator(), rs.locate(stranger))
+
+
 def test_reprs_are_short() -> None:
     model = oscillator()
     run = rs.simulate(model, [0, 0.1])
     rest = rs.static_equilibrium(model)
     table = rs.study.Table(("a",), ("m",), ((1.0,),))
-    shown = (model, model.dae, run, rest, rs.linearize(model, rest), table)
+    shown = [model, model.dae, run, rest, rs.linearize(model, rest), table]
+    scene = model.scene
+    assert isinstance(scene, rs.Scene)
+    shown += [scene, *scene.bodies, *scene.connectors]
     assert all(len(repr(one)) < 100 for one in shown)
     assert repr(model) == "<Model 'oscillator': 2 states, 0 algebraic, 0 inputs, 1 parameters>"
 

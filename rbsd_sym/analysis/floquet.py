@@ -14,6 +14,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ..base.symbols import is_number
 from ..integrators import Idas
 from ..model.model import Model
 from ..model.signals import Inputs
@@ -156,7 +157,7 @@ def floquet(
     """
     as_model(model, "floquet")
     where = f"floquet of '{model.name}'"
-    if not (np.isfinite(period) and period > 0):
+    if not (is_number(period) and np.isfinite(period) and period > 0):
         raise ValueError(f"{where}: period {period} s; give a positive, finite period")
     if model.events or model.dae.updates:
         raise ValueError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -287,7 +287,7 @@ def _consistent(model: Model, point: Point) -> Point:
             f"model '{model.name}': no algebraic unknowns found that solve their equations at "
             f"t = {point.t:.6g} s; give values near a solution (start={{name: value}})"
         )
-    return Point(point.t, point.x, z, point.u, point.p, point.idle)
+    return replace(point, z=z)
 
 
 def _matrices(model: Model, point: Point) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeAlias, TypedDict, Union
 import casadi as ca
 import numpy as np
 
-from ..base.symbols import is_number
+from ..base.symbols import Scalar, is_number
 from ..dae.members import Label
 from .model import Model
 from .signals import Inputs, Signal, signal_of, value_at
@@ -34,6 +34,7 @@ class Point:
         x, z: states (n_x,) and algebraic unknowns (n_z,), in the order of their labels.
         u, p: inputs (n_u,) and parameters (n_p,).
         idle: parameters that affect only outputs which were not requested.
+        states: names of states and unknowns, by which a model recognises a point of its own.
 
     >>> point = locate(model, start={"arm.p_x": 0.1})         # doctest: +SKIP
     >>> model.function("ode")(*point.arguments)               # doctest: +SKIP
@@ -45,6 +46,7 @@ class Point:
     u: np.ndarray
     p: np.ndarray
     idle: np.ndarray
+    states: tuple[str, ...] = ()
 
     @property
     def arguments(self) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -225,7 +227,8 @@ def locate(
     now = {name: value_at(value, base.t) for name, value in (inputs or {}).items()}
     u = filled(model, "input", dae.u_labels, base.u, now)
     x, z = _started(model, base.x, base.z, start, "point")
-    return _switched(model, Point(base.t, x, z, u, values[: model.n_p], values[model.n_p :]))
+    p, idle = values[: model.n_p], values[model.n_p :]
+    return _switched(model, Point(base.t, x, z, u, p, idle, _state_names(model)))
 
 
 def _switched(model: Model, point: Point) -> Point:
@@ -263,7 +266,18 @@ def _of_this_model(model: Model, point: Point) -> Point:
             f"and {len(point.p)} parameters is of another model; this one has {model.n_x}, "
             f"{model.n_z} and {model.n_p}; make it with locate(model, ...)"
         )
+    own = _state_names(model)
+    if point.states and point.states != own:
+        raise ValueError(
+            f"model '{model.name}': a point with the states {', '.join(point.states[:_LISTED])} is "
+            f"of another model; this one has {', '.join(own[:_LISTED])}; make it with "
+            "locate(model, ...)"
+        )
     return point
+
+
+def _state_names(model: Model) -> tuple[str, ...]:
+    return tuple(label.name for label in (*model.x_labels, *model.dae.z_labels))
 
 
 def _started(
@@ -314,7 +328,8 @@ def _saved(model: Model, trajectory: Trajectory, t: float | None) -> Point:
     columns = [
         np.array([float(trajectory[label.name][k]) for label in labels]) for labels in groups
     ]
-    return Point(float(trajectory.t[k]), *columns)
+    x, z, u, p, idle = columns
+    return Point(float(trajectory.t[k]), x, z, u, p, idle, _state_names(model))
 
 
 def check_kept(model: Model, given: Mapping[str, float], what: str) -> None:
@@ -403,6 +418,7 @@ def _vector(model: Model, given: Any) -> np.ndarray:
 
 
 def _number(value: Any, where: str, unit: str) -> float:
-    if not is_number(value) or not np.isfinite(float(value)):
+    plain = is_number(value) and not isinstance(value, Scalar)
+    if not plain or not np.isfinite(value):
         raise ValueError(f"{where}: {value!r} {unit}; give a finite number")
     return float(value)

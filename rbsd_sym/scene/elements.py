@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base import checks
 from ..base.names import check_identifier
-from ..base.symbols import Leaf, Param, Scalar, is_number, leaves_of
+from ..base.symbols import Input, Leaf, Param, Scalar, is_number, leaves_of
 from ..laws import AXES, Effect, Law, Own, Standard, value_at_default
 
 GROUND = "ground"
@@ -56,6 +56,9 @@ class RigidBody:
     show: bool = True
     size: Sequence[float] | None = None
     color: Any = None
+
+    def __repr__(self) -> str:
+        return f"<RigidBody '{self.name}'>"
 
     def __post_init__(self) -> None:
         check_identifier(self.name, "body")
@@ -152,7 +155,7 @@ class RigidBodySpringDamper:
         name: identifier, unique in the scene.
         marker0, marker1: the two markers.
         stiffness, damping: 6x6 (or 6 numbers, the diagonal), translation first; N/m, N m/rad and
-            N s/m, N m s/rad.
+            N s/m, N m s/rad. Zero by default.
         offset: 6 numbers, the strain at which the spring exerts no force, m and rad; with
             an Input it is a servo.
         velocity_offset: 6 numbers, the rate without damping force, m/s and rad/s.
@@ -172,10 +175,10 @@ class RigidBodySpringDamper:
         effects: laws along one axis, or on the whole, added to the wrench: `Contact`, `Friction`,
             `Plastic`, `Fracture`, ... Their states are `<name>.<effect>_<state>`, their forces the
             outputs `<name>.<effect>`, such as `floor.contact_z`.
-        active: False gives no force and costs nothing. A Param, an Input or an expression of them
-            and TIME switches the connector, which is on above 0.5. While off it gives no force and
+        active: False gives no force and costs nothing. A Param, an expression of Params, or an
+            Input switches the connector, which is on above 0.5. While off it gives no force and
             stores no energy, none of its events happen, and its states keep their values; strain
-            and rate are measured. An Input or TIME switches it by the event `<name>.switches`,
+            and rate are measured. An Input switches it by the event `<name>.switches`,
             which keeps the data state `<name>.active`, 1 or 0.
         show, draw_size, color: drawing only; draw_size is the spring's diameter, m. None, and the
             documented -1 and (-1, -1, -1, -1), mean the default.
@@ -203,6 +206,9 @@ class RigidBodySpringDamper:
     color: Any = None
     effects: Sequence[Effect] = ()
     events: Callable[..., Any] | None = None
+
+    def __repr__(self) -> str:
+        return f"<RigidBodySpringDamper '{self.name}'>"
 
     def __post_init__(self) -> None:
         check_identifier(self.name, "connector")
@@ -295,12 +301,14 @@ def _is_default(value: Any, shape: tuple[int, ...]) -> bool:
 
 
 def _active(value: Any, where: str) -> bool | Scalar:
-    if isinstance(value, Scalar):
+    # A condition in Inputs or TIME jumps, and has no crossing that a search for events could find.
+    if isinstance(value, Scalar) and (isinstance(value, Input) or not _varying(value)):
         return value
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(
             f"{where}, active: {value!r} is {type(value).__name__}; give True or False, or a "
-            "Param, an Input or an expression of them, which is on above 0.5"
+            "Param, an expression of Params, or an Input, which is on above 0.5; for a condition "
+            "give an Input, and its value over time with the run"
         )
     return bool(value)
 
@@ -405,6 +413,9 @@ class Load:
     force: Numbers = _ZERO3
     torque: Numbers = _ZERO3
     frame: str = "world"
+
+    def __repr__(self) -> str:
+        return f"<Load '{self.name}'>"
 
     def __post_init__(self) -> None:
         check_identifier(self.name, "load")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -217,9 +218,11 @@ def _line(error: BaseException) -> str:
 
 
 def _instead(line: str) -> str:
-    """What to write for a function of math in a line."""
-    names = [name for name in _OF_MATH.findall(line) if name not in ("pi", "floor", "ceil")]
-    return "".join(f"; here np.{_IN_NUMPY.get(name, name)} for math.{name}" for name in names)
+    """What to write for the functions of math in a line; numbers, such as math.pi, are right."""
+    names = [name for name in _OF_MATH.findall(line) if callable(getattr(math, name, None))]
+    known = {name: _IN_NUMPY.get(name, name) for name in names}
+    there = [(ours, name) for name, ours in known.items() if hasattr(np, ours)]
+    return "".join(f"; here np.{ours} for math.{name}" for ours, name in there)
 
 
 def trace_force(

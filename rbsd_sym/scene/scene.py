@@ -126,6 +126,10 @@ class Scene:
                     "scene; give the Param or Input another name"
                 )
 
+    def __repr__(self) -> str:
+        counts = f"{len(self.bodies)} bodies, {len(self.connectors)} connectors"
+        return f"<Scene '{self.name}': {counts}, {len(self.loads)} loads>"
+
     @property
     def elements(self) -> tuple[Any, ...]:
         """Bodies, connectors and loads."""

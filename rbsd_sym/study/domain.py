@@ -10,6 +10,7 @@ from ..dae.members import RotationKind
 from ..laws import Standard
 from ..model.model import Model
 from ..model.trajectory import Trajectory
+from ..model.values import as_model
 from ..scene.scene import Scene
 from .table import ResultTable
 
@@ -53,6 +54,7 @@ def domain(model: Model, trajectory: Trajectory, margin: float = _MARGIN) -> Res
     Raises:
         ValueError: the model was not compiled from a scene.
     """
+    as_model(model, "domain")
     rows = [
         row
         for limit in _limits(model, trajectory)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -102,20 +103,26 @@ def test_every_layout_switches(layout: str, minimal: bool) -> None:
     run = rs.simulate(model, 1.7, rs.Dop853(**TIGHT), inputs={"on": SIGNALS["samples"][0]})
     end = [run["b.position"][-1, 0], run["b.velocity"][-1, 0]]
     assert np.abs(end - truth(1.7, [0.1875, 1.2], False)).max() < 1e-8
+    chosen = rs.compile_scene(scene(rs.Param("p", 1.0)), layout=layout, minimal=minimal)
+    run = rs.simulate(chosen, 1.7, rs.Idas(**TIGHT), params={"p": 0.4})
+    end = [run["b.position"][-1, 0], run["b.velocity"][-1, 0]]
+    assert np.abs(end - truth(1.7, [], False)).max() < 1e-8
+    x, _ = chosen.dae.start_values([1.0])
+    slopes = np.array(ca.DM(chosen.function("dode_dp")(0, x, [], [], [0.4])))
+    assert not slopes.any()
 
 
-def test_time_and_expressions_switch() -> None:
-    """On while 0.4 < p t < 0.8, that is from 0.5 to 1."""
-    rate = rs.Param("rate", 0.8)
-    window = (rate * rs.TIME > 0.4) * (rate * rs.TIME < 0.8)
-    model = rs.compile_scene(scene(window))
-    assert model.x_labels[-1].name == "c.active"
-    run = rs.simulate(model, 1.7, rs.Idas(**TIGHT))
-    end = [run["b.p_x"][-1], run["b.v_x"][-1]]
-    assert np.abs(end - truth(1.7, [0.5, 1.0], False)).max() < 1e-8
-    slower = rs.simulate(model, 1.7, rs.Idas(**TIGHT), params={"rate": 0.5})
-    end = [slower["b.p_x"][-1], slower["b.v_x"][-1]]
-    assert np.abs(end - truth(1.7, [0.8, 1.6], False)).max() < 1e-8
+def test_expressions_of_params_switch_and_conditions_in_time_are_refused() -> None:
+    low, high = rs.Param("low", 0.3), rs.Param("high", 0.4)
+    model = rs.compile_scene(scene(low + high))
+    assert not model.events
+    for values, on in (({}, True), ({"low": 0.1}, False)):
+        run = rs.simulate(model, 1.7, rs.Idas(**TIGHT), params=values)
+        end = [run["b.p_x"][-1], run["b.v_x"][-1]]
+        assert np.abs(end - truth(1.7, [], on)).max() < 1e-8
+    for jumping in (rs.TIME > 0.4, ON > 0.5, low * ON, rs.where(rs.TIME < 1, 0, 1)):
+        with pytest.raises(TypeError, match=r"'c', active: .*for a condition give an Input"):
+            scene(jumping)
 
 
 COMPARED = ("b.position", "b.velocity", "b.quaternion", "c.force_local", "c.torque_local",
