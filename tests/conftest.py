@@ -31,7 +31,7 @@ _LONG = (
     "test_effects", "test_effects_contact", "test_effects_friction", "test_effects_materials",
     "test_events", "test_events_cascades", "test_events_hidden",
     "test_generalized_alpha", "test_generalized_alpha_steps", "test_data_states",
-    "test_data_states_forms",
+    "test_data_states_forms", "test_active", "test_unknown_instructions",
 )  # fmt: skip
 
 
