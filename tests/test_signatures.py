@@ -143,8 +143,9 @@ def test_a_point_of_another_model_is_refused() -> None:
     other = rs.RigidBody("other", 1.0, (0.1, 0.1, 0.1))
     k = rs.Param("k", 40.0)
     spring = rs.RigidBodySpringDamper(
-        "s", rs.Marker(rs.GROUND), rs.Marker("other"), [k, 0, 0, 0, 0, 0]
-    )
+        "s", rs.Marker(rs.GROUND), rs.Marker("other"), [k, 0, 0, 0, 0, 0],
+        offset=(0.1, 0, 0, 0, 0, 0),
+    )  # fmt: skip
     stranger = rs.compile_scene(rs.Scene("stranger", [other], [spring]))
     assert (stranger.n_x, stranger.n_p) == (oscillator().n_x, oscillator().n_p)
     with pytest.raises(ValueError, match=r"states other\.p_x, other\.v_x is of another model"):
