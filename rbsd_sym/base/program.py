@@ -100,16 +100,25 @@ def content(function: ca.Function) -> str:
     return hashlib.sha256(" ".join([function.serialize(), *callbacks]).encode()).hexdigest()
 
 
-def without_mixed_derivatives(function: ca.Function) -> list[str]:
-    """Return the names of callees whose second derivatives CasADi takes to be zero and are not.
+def check_second_derivatives(function: ca.Function, where: str) -> None:
+    """Check that CasADi has the second derivatives of all callees of a Function.
 
-    They are linear tables of several numbers: between grid points these are multilinear.
+    It takes those of linear tables to be zero. Tables of several numbers are multilinear between
+    grid points, so that mixed ones are not.
+
+    Raises:
+        ValueError: there is such a table.
     """
-    return [
+    names = [
         callee.name()
         for callee in function.find_functions()
         if callee.class_name() == "LinearInterpolant" and callee.nnz_in() > 1
     ]
+    if names:
+        raise ValueError(
+            f"{where}: CasADi leaves out mixed second derivatives of {', '.join(names)}, linear in "
+            "several numbers; make it by casadi.interpolant(..., 'bspline', ...)"
+        )
 
 
 def without_derivative(function: ca.Function) -> list[str]:

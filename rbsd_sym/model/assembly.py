@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from ..base.names import derivative
-from ..base.program import without_mixed_derivatives
+from ..base.program import check_second_derivatives
 from ..dae.dae import Dae
 from .kernels import Group, groups, output_groups
 
@@ -220,12 +220,7 @@ class Assembly:
         """
         found = []
         for group, writes in self._writing(name):
-            if names := without_mixed_derivatives(group.kernel):
-                raise ValueError(
-                    f"model '{self.dae.name}', {name}_hessian: CasADi leaves out the mixed second "
-                    f"derivatives of {', '.join(names)}, linear in several numbers; make it by "
-                    "casadi.interpolant(..., 'bspline', ...)"
-                )
+            check_second_derivatives(group.kernel, f"model '{self.dae.name}', {name}_hessian")
             t, w, c = group.kernel.sx_in()
             scale = ca.SX.sym("l", group.kernel.size1_out(0))
             second, _ = ca.hessian(ca.dot(scale, group.kernel(t, w, c)), w)

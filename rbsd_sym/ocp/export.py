@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 
 from .. import version
+from ..base.program import check_second_derivatives
 from ..dae.members import Label
 from ..exports import c_names as names
 from ..exports.folder import MANIFEST, Artefact, sha256, template, write_folder
@@ -134,6 +135,8 @@ def export_problem(
     """
     made = parametric(problem, method, guess)
     model, name, target = made.traced.model, made.name, Path(folder)
+    for block in made.blocks:
+        check_second_derivatives(block.value, f"model '{model.name}', hessian")
     sizes = _sizes(made, solver)
     texts = {
         f"{name}.h": _header(made, sizes),
